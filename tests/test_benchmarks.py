@@ -150,15 +150,15 @@ def test_campaign_of_page_is_valid(tmp_path):
 def benchmark_repository(tmp_path, monkeypatch):
     """Return `python benchmarks` in a repository of its own, where a study took four seconds."""
     spec = importlib.util.spec_from_file_location("all_benchmarks", FOLDER / "__main__.py")
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
     table = importlib.import_module("table")
-    found = [table.Table("Study", "", ["", "time"], [["one", 4.0]])]
-    monkeypatch.setattr(made, "BENCHMARKS", {"study": SimpleNamespace(tables=lambda *_: found)})
-    monkeypatch.setattr(made, "ROOT", tmp_path)
+    Tables = [table.Table("Study", "", ["", "time"], [["one", 4.0]])]
+    monkeypatch.setattr(module, "BENCHMARKS", {"study": SimpleNamespace(tables=lambda *_: Tables)})
+    monkeypatch.setattr(module, "ROOT", tmp_path)
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "benchmarks.md").write_text(f"{table.BEGIN}\n{table.END}\n")
-    return made.main
+    return module.main
 
 
 def test_local_measurements_do_not_change_documentation(benchmark_repository, tmp_path):

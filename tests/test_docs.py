@@ -97,14 +97,14 @@ def assert_same_output(shown, printed):
     for part in parts:
         pattern = NUMBER.sub("\0", part.strip())
         regular = re.escape(pattern).replace("\0", f"({NUMBER.pattern})").replace(r"\ \n", r" ?\n")
-        found = re.compile(regular).search(text, place)
-        assert found, f"not printed:\n{part}\nbut:\n{text}"
-        assert len(parts) > 1 or found.span() == (0, len(text)), text
-        for ours, theirs in zip(NUMBER.findall(part), found.groups(), strict=True):
+        match = re.compile(regular).search(text, place)
+        assert match, f"not printed:\n{part}\nbut:\n{text}"
+        assert len(parts) > 1 or match.span() == (0, len(text)), text
+        for ours, theirs in zip(NUMBER.findall(part), match.groups(), strict=True):
             digits = len(ours.partition("e")[0].partition(".")[2])
             scale = float("1e" + (ours.partition("e")[2] or "0"))
             assert abs(float(ours) - float(theirs)) <= 1.01 * 10.0**-digits * scale, part
-        place = found.end()
+        place = match.end()
 
 
 def inline(value):

@@ -56,9 +56,9 @@ def test_readme_states_measured_times(rows):
 def test_plan_page_states_measured_prediction_rate(rows):
     words = " ".join((ROOT / "docs" / "plan.md").read_text("utf-8").split())
     assert "computes more than a thousand predictions per second" in words
-    made = rows["Predictions of u"].values()
-    assert made
-    assert all(a_second > 1000.0 for a_second, _ in made)
+    row = rows["Predictions of u"].values()
+    assert row
+    assert all(a_second > 1000.0 for a_second, _ in row)
 
 
 def test_watch_page_states_stored_results(rows):

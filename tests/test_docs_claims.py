@@ -510,10 +510,10 @@ def test_start_up_takes_most_of_calibration_time(benchmark_results):
 
 def test_overhead_of_two_workers_matches_text(benchmark_results):
     (number,) = find_numbers("benchmarks", "requires about {} s of processor time to start")
-    one, two = (
+    first, second = (
         row["processor (s)"] for row in list(benchmark_results["Whole studies"].values())[1:]
     )
-    assert agrees_to_last_digit(number, 0.5 * (two - one))
+    assert agrees_to_last_digit(number, 0.5 * (second - first))
 
 
 # What examples, cases and tables of the pages themselves hold -------------------------------------

@@ -41,8 +41,8 @@ def test_pdf_certificate_has_xml_attachment():
 
 def test_certificate_values_match_result():
     read = read_certificate((EXAMPLES / "certificate.xml").read_bytes(), "certificate.xml")
-    for name, found in RESULT.accelerometers.items():
+    for name, accelerometer in RESULT.accelerometers.items():
         certified = read.accelerometers[name].coefficients["K_II"]
-        own = found.coefficients["K_II"]
+        own = accelerometer.coefficients["K_II"]
         assert certified.value == pytest.approx(own.value, rel=1e-12)
         assert certified.u == pytest.approx(own.u, rel=1e-12)

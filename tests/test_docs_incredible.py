@@ -46,17 +46,17 @@ def test_finding_matches_table(mistake, way):
 
 
 def test_likely_cause_is_named():
-    said = {row.name: row.text for row in TABLE.load() if row.way == "tumble"}
+    texts = {row.name: row.text for row in TABLE.load() if row.way == "tumble"}
     sign = "Check the sign of the output, and the senses of the input axis and of the attitudes."
-    assert sign in said["wrong sign of all readings"]
-    assert sign in said["attitudes in the opposite sense, input axis east at angle zero"]
-    assert "may be in m/s^2 instead of g." in said["m/s^2 instead of g"]
+    assert sign in texts["wrong sign of all readings"]
+    assert sign in texts["attitudes in the opposite sense, input axis east at angle zero"]
+    assert "may be in m/s^2 instead of g." in texts["m/s^2 instead of g"]
     assert (
-        "the zero and the sense of the attitude angles" in said["zero of the head wrong by 1 deg"]
+        "the zero and the sense of the attitude angles" in texts["zero of the head wrong by 1 deg"]
     )
     assert (
         "the sense of rotation of the attitudes"
-        in said["attitudes in the opposite sense, delta_O stated"]
+        in texts["attitudes in the opposite sense, delta_O stated"]
     )
 
 

@@ -110,11 +110,11 @@ def test_sizes_from_paper_are_fractions_of_table_1():
     parts = {"half": 2, "a third": 3, "a quarter": 4}
     found = {}
     for names, _, _, size, source in rows_between("grades"):
-        if told := re.match(r"([a-z ]+) of .*Table 1 \(([\d.e-]+) g\S+\)", source):
+        if match := re.match(r"([a-z ]+) of .*Table 1 \(([\d.e-]+) g\S+\)", source):
             symbol = re.search(r"K_(?:III|II|IP)\b", names)[0]
-            assert float(told[2]) == TABLE_1[symbol]
-            assert float(size) == pytest.approx(TABLE_1[symbol] / parts[told[1]])
-            found[symbol] = told[1]
+            assert float(match[2]) == TABLE_1[symbol]
+            assert float(size) == pytest.approx(TABLE_1[symbol] / parts[match[1]])
+            found[symbol] = match[1]
     assert set(found) == {"K_II", "K_III", "K_IP"}
 
 

@@ -16,8 +16,8 @@ PAGES = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("plan", "re
 
 
 def test_columns_of_reading_table_are_listed():
-    said = ReadingsSettings.model_fields["columns"].description
-    assert set(re.findall(r"`(\w+)`", said)) == {*COLUMNS, "reading", "u"}
+    description = ReadingsSettings.model_fields["columns"].description
+    assert set(re.findall(r"`(\w+)`", description)) == {*COLUMNS, "reading", "u"}
 
 
 def test_machine_terms_are_listed_with_units():

@@ -82,9 +82,9 @@ def test_reference_groups_match_docstring():
 
 
 def test_reference_describes_returned_objects():
-    told = {part.__qualname__ for part in FROM_CODE["parts"]()}
-    assert {"Coefficient", "Finding", "Covariance", "SpindleFit", "Row"} <= told
-    assert told.isdisjoint(cs.__all__)
+    qualnames = {part.__qualname__ for part in FROM_CODE["parts"]()}
+    assert {"Coefficient", "Finding", "Covariance", "SpindleFit", "Row"} <= qualnames
+    assert qualnames.isdisjoint(cs.__all__)
 
 
 def test_reference_describes_all_commands_and_options():
@@ -117,11 +117,11 @@ def test_trust_page_states_tested_digits():
     names = ("Pontius", "Longley", "Filip")
     digits = [-math.log10(case(f"NIST {name}").relative_tolerance) for name in names]
     text = (DOCS / "trust.md").read_text(encoding="utf-8")
-    told = re.search(
+    match = re.search(
         r"to (\S+) digits for Pontius, (\S+) for Longley and (\S+) for the ill-conditioned Filip",
         text,
     )
-    assert [float(one) for one in told.groups()] == pytest.approx(digits)
+    assert [float(group) for group in match.groups()] == pytest.approx(digits)
 
 
 def test_extensions_do_not_import_sphinx():

@@ -49,8 +49,8 @@ def test_findings_name_head(stored_results, way):
         assuming = next(STUDY["calibrated"](STUDY["world_of"](violation, usual)))
         times = "once" if ".1." in violation.symbol else "twice"
         two = f"have the pattern of a head error {times} per revolution"
-        one = "A head error that varies with the angle"
-        assert (two if "mountings" in way else one) in assuming.findings[0].text
+        text = "A head error that varies with the angle"
+        assert (two if "mountings" in way else text) in assuming.findings[0].text
 
 
 def test_head_waves_match_closed_form(stored_results):

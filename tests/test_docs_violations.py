@@ -36,10 +36,10 @@ def test_no_row_of_table_is_silent():
 
 def test_correct_cause_is_among_first_two():
     """A random guess among 60 alternatives has a probability of 1/30; 80 % is required."""
-    found = [row for row in TABLE.load() if row.codes]
-    wrong = [f"{row.name} ({row.observable}): {row.named}" for row in found if not row.right(2)]
-    assert len(found) > 60
-    assert len(wrong) < 0.2 * len(found), wrong
+    rows = [row for row in TABLE.load() if row.codes]
+    wrong = [f"{row.name} ({row.observable}): {row.named}" for row in rows if not row.right(2)]
+    assert len(rows) > 60
+    assert len(wrong) < 0.2 * len(rows), wrong
 
 
 def test_largest_shift_matches_theory():

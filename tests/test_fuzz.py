@@ -277,7 +277,7 @@ _OF_APPLICATION = ("requests to the application", "connections to its server")
 
 def test_page_states_number_of_tried_cases():
     page = read_text("harmful-files")
-    asked = dict.fromkeys(("DOCUMENTS", "RECORDS", "KILLS", "requests"), 0)
+    fromkeys = dict.fromkeys(("DOCUMENTS", "RECORDS", "KILLS", "requests"), 0)
     command = (
         r"make fuzz (?:ONLY=(\S+) )?(SEED=\d+ DOCUMENTS=\d+ RECORDS=\d+ KILLS=\d+)"
         r"(?: # and so on to seed (\d+))?"
@@ -287,18 +287,18 @@ def test_page_states_number_of_tried_cases():
         seeds = int(last or given["SEED"]) - given["SEED"] + 1
         for key in ("DOCUMENTS", "RECORDS", "KILLS"):
             kind = "requests" if key == "DOCUMENTS" and only.startswith("requests") else key
-            asked[kind] += seeds * given[key]
+            fromkeys[kind] += seeds * given[key]
     documents, refused = find_numbers("harmful-files", "| documents and CSV | {} | {} |")
     (records,) = find_numbers("harmful-files", "Excel and PDF | {} |")
     (kills,) = find_numbers("harmful-files", "| commands killed | {} |")
     # A hunt that is stopped has tried fewer.
-    assert 0.999 * asked["DOCUMENTS"] < parse_number(documents) <= asked["DOCUMENTS"]
+    assert 0.999 * fromkeys["DOCUMENTS"] < parse_number(documents) <= fromkeys["DOCUMENTS"]
     assert parse_number(refused) < parse_number(documents)
-    assert [parse_number(records), parse_number(kills)] == [asked["RECORDS"], asked["KILLS"]]
+    assert [parse_number(records), parse_number(kills)] == [fromkeys["RECORDS"], fromkeys["KILLS"]]
     asked_of = [
         find_numbers("harmful-files", f"| {kind} | {{}} | {{}} |") for kind in _OF_APPLICATION
     ]
-    assert sum(parse_number(tried) for tried, _ in asked_of) == asked["requests"]
+    assert sum(parse_number(tried) for tried, _ in asked_of) == fromkeys["requests"]
     assert all(parse_number(refused) < parse_number(tried) for tried, refused in asked_of)
     # A case of requests has 1 to 3 of them, 1.6 in the mean.
     (sent,) = find_numbers("harmful-files", "The `requests` cases sent {} requests")

@@ -39,8 +39,8 @@ def nodes_of(source):
 
 def offences(look, among=SOURCES):
     """Return the non-empty results of `look(name, source)` by name."""
-    found = {name: look(name, source) for name, source in among.items()}
-    return {name: what for name, what in found.items() if what}
+    findings = {name: look(name, source) for name, source in among.items()}
+    return {name: what for name, what in findings.items() if what}
 
 
 # Modules
@@ -433,11 +433,11 @@ def test_start_up_loads_no_unused_slow_module(statement):
 
 def test_javascript_imports_have_no_cycle():
     """Indirect imports count; TopologicalSorter raises for a cycle."""
-    told = {
+    matches = {
         script.name: re.findall(r'from "\./(\w+\.js)"', script.read_text(encoding="utf-8"))
         for script in (PACKAGE / "application" / "assets").glob("*.js")
     }
-    assert list(TopologicalSorter(told).static_order())[-1] == "main.js"
+    assert list(TopologicalSorter(matches).static_order())[-1] == "main.js"
 
 
 def test_calibration_loads_no_unused_slow_module(tmp_path):
@@ -490,16 +490,16 @@ def extras():
 
 
 def test_named_extras_exist_and_are_documented():
-    told = {path: path.read_text(encoding="utf-8") for path in [*MODULES, *PAGES]}
-    everything = "\n".join(told.values())
-    asked = set(re.findall(r"install_command\([\"'](\w+)[\"']\)", everything))
+    texts = {path: path.read_text(encoding="utf-8") for path in [*MODULES, *PAGES]}
+    everything = "\n".join(texts.values())
+    matches = set(re.findall(r"install_command\([\"'](\w+)[\"']\)", everything))
     named = set(re.findall(r"\bextra(?:\]\(\S+\))?\s`+(\w+)`", everything))
     named |= set(re.findall(r"\.(?:whl)?\[([a-z]+)\]'", everything))
-    quickstart = told[ROOT / "docs" / "quickstart.md"]
+    quickstart = texts[ROOT / "docs" / "quickstart.md"]
     section = quickstart.partition("## Extras")[2].partition("\n## ")[0]
-    assert asked == named == extras()
+    assert matches == named == extras()
     assert set(re.findall(r"^\| `(\w+)`", section, re.MULTILINE)) == extras()
-    assert set(re.findall(r"'\.\[(\w+)\]'", told[ROOT / "README.md"])) == extras()
+    assert set(re.findall(r"'\.\[(\w+)\]'", texts[ROOT / "README.md"])) == extras()
     assert set(re.findall(r"counterspin-([\d.]+)-py3", quickstart)) == {__version__}
 
 
@@ -585,7 +585,7 @@ def test_javascript_lock_has_hashes_and_no_url():
     packages = json.loads(text)["packages"]
     assert packages.pop("") == {"devDependencies": wanted["devDependencies"]}
     assert packages
-    assert all(one["integrity"].startswith("sha512-") for one in packages.values())
+    assert all(package["integrity"].startswith("sha512-") for package in packages.values())
     assert "//" not in re.sub(r'"sha512-[^"]*"', "", text)
 
 
@@ -593,11 +593,11 @@ def test_lint_without_node_prints_skipped(tmp_path):
     tools = tmp_path / "bin"
     tools.mkdir()
     for name in ("make", "sh", "rm", "mkdir", "cp", "touch"):
-        found = shutil.which(name)
-        if found is None:
+        path = shutil.which(name)
+        if path is None:
             pytest.skip(f"there is no {name}")
-        (tools / name).symlink_to(found)
-    told = subprocess.run(
+        (tools / name).symlink_to(path)
+    process = subprocess.run(
         [tools / "make", f"VENV={tmp_path}", tmp_path / "typescript" / ".ready"],
         cwd=ROOT,
         env={"PATH": str(tools)},
@@ -605,7 +605,7 @@ def test_lint_without_node_prints_skipped(tmp_path):
         text=True,
         check=True,
     )
-    assert "Skipped: the types of JavaScript" in told.stderr
+    assert "Skipped: the types of JavaScript" in process.stderr
     assert not (tmp_path / "typescript" / ".ready").exists()
 
 
@@ -614,7 +614,9 @@ def test_type_checks_are_strict_in_all_packages():
     assert types["strict"] is True
     # What others wrote may lack types; nothing of ours is let off.
     overrides = types.pop("overrides")
-    assert not any(name.startswith("counterspin") for one in overrides for name in one["module"])
+    assert not any(
+        name.startswith("counterspin") for override in overrides for name in override["module"]
+    )
     script = json.loads((ROOT / "jsconfig.json").read_text(encoding="utf-8"))
     assert script["compilerOptions"]["strict"] is True
     covered = {path for pattern in script["include"] for path in ROOT.glob(pattern)}
@@ -654,9 +656,9 @@ def test_platform_dependent_modules_are_selected():
     selected = {Path(line).relative_to(PACKAGE).as_posix() for line in shown.stdout.splitlines()}
     # Names of one platform, by the documentation of Python.
     some = r"\b(sys\.platform|fcntl|msvcrt|resource\.|WinDLL|os\.(fork|getuid|killpg|sched_|setp))"
-    asked = {name for name, source in SOURCES.items() if re.search(some, source)}
-    assert len(asked) >= 10
-    assert asked <= selected
+    names = {name for name, source in SOURCES.items() if re.search(some, source)}
+    assert len(names) >= 10
+    assert names <= selected
     assert len(selected) < 60
     assert not offences(lambda name, source: re.search(r"^(el)?if .*sys\.platform", source, re.M))
 

@@ -38,6 +38,10 @@ def test_planting_missing_line_raises():
 def test_validate_detects_mutant(tmp_path):
     copy = tmp_path / "counterspin"
     shutil.copytree(SOURCE, copy)
-    mutant = next(one for one in mutants() if one["file"] == "correction/apply.py")
+    mutant = next(
+        actual_mutant
+        for actual_mutant in mutants()
+        if actual_mutant["file"] == "correction/apply.py"
+    )
     (copy / mutant["file"]).write_text(planted(mutant), encoding="utf-8")
     assert seen_by(mutant, tmp_path, False).startswith("validate: ")

@@ -17,8 +17,8 @@ import counterspin as cs
 @pytest.fixture(scope="module")
 def records(tmp_path_factory):
     """Return data frames by run."""
-    made = frames.simulate_columns(tmp_path_factory.mktemp("records"))
-    return {name: pl.DataFrame(dict(columns)) for name, columns in made.items()}
+    new_columns = frames.simulate_columns(tmp_path_factory.mktemp("records"))
+    return {name: pl.DataFrame(dict(columns)) for name, columns in new_columns.items()}
 
 
 @pytest.fixture(scope="module")
@@ -150,8 +150,8 @@ def test_result_frame_for_pandas(result):
 
 
 def test_other_truth_is_estimated():
-    found = k_ii(task_simulate_another_truth(frames.parse_small_description()))
-    assert abs(found.value - 5e-5) < 4.0 * found.u
+    k_ii_result = k_ii(task_simulate_another_truth(frames.parse_small_description()))
+    assert abs(k_ii_result.value - 5e-5) < 4.0 * k_ii_result.u
 
 
 def test_radius_sweep_changes_k_ii(campaign, result):

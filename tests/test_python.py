@@ -36,8 +36,8 @@ def test_lazy_names_match_type_checking_imports():
 
 
 def test_docstring_lists_every_public_name():
-    told = set(re.findall(r"`(\w+)`", cs.__doc__))
-    assert told == set(cs.__all__) - {"__version__"}
+    matches = set(re.findall(r"`(\w+)`", cs.__doc__))
+    assert matches == set(cs.__all__) - {"__version__"}
 
 
 def test_dir_lists_names_before_loading():

@@ -171,8 +171,8 @@ def test_result_matches_schema():
 
 def test_noise_result_matches_schema():
     force = np.random.default_rng(7).normal(0.0, 1e-4, 2000)
-    found = cs.noise({"time_s": np.arange(2000) / 50.0, "f": force}, columns=["f"], unit="m/s^2")
-    document = json.loads(found.to_json())
+    noise = cs.noise({"time_s": np.arange(2000) / 50.0, "f": force}, columns=["f"], unit="m/s^2")
+    document = json.loads(noise.to_json())
     assert list(find_violations(made("noise"), document)) == []
     assert list(find_violations(made("noise"), document | {"signals": [{"name": "f"}]}))
 

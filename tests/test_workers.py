@@ -66,8 +66,8 @@ def threadpoolctl():
 
 def count_threads():
     """Return the thread counts of the loaded linear algebra libraries."""
-    found = threadpoolctl().threadpool_info()
-    return {info["num_threads"] for info in found if info["user_api"] == "blas"}
+    threadpool_info = threadpoolctl().threadpool_info()
+    return {info["num_threads"] for info in threadpool_info if info["user_api"] == "blas"}
 
 
 @pytest.fixture

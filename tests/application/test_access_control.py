@@ -104,15 +104,15 @@ def test_link_is_valid_once_and_next_link_is_printed(anonymous, credentials):
 
 
 def test_servers_do_not_share_credentials():
-    one, other = Credentials(1), Credentials(1)
+    first, second = Credentials(1), Credentials(1)
     # Browsers do not send fragments.
-    assert one.link.startswith("http://127.0.0.1:1/#token=")
-    tokens = read_token(one), read_token(other)
+    assert first.link.startswith("http://127.0.0.1:1/#token=")
+    tokens = read_token(first), read_token(second)
     found = {
         *tokens,
         *(
             credentials.exchange_token(t)
-            for credentials, t in zip((one, other), tokens, strict=True)
+            for credentials, t in zip((first, second), tokens, strict=True)
         ),
     }
     assert len(found) == 4

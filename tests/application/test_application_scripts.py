@@ -26,6 +26,6 @@ def test_page_scripts_pass_their_tests(tmp_path):
         check=False,
     )
     assert process.returncode == 0, process.stdout + process.stderr
-    asked = (SCRIPTS / "page.test.js").read_text(encoding="utf-8")
+    text = (SCRIPTS / "page.test.js").read_text(encoding="utf-8")
     passed = re.search(r"^# pass (\d+)$", process.stdout, re.MULTILINE)
-    assert int(passed[1]) >= len(re.findall(r"^test\(", asked, re.MULTILINE)) >= 18
+    assert int(passed[1]) >= len(re.findall(r"^test\(", text, re.MULTILINE)) >= 18

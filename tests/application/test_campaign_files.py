@@ -187,8 +187,8 @@ def add_record(folder, name, rate, **columns):
 
 def test_added_record_becomes_run_at_measured_rate(app, folder):
     files = [add_record(folder, "a.csv", 1.5 * np.pi), add_record(folder, "b c.csv", -0.6 * np.pi)]
-    told = add_records(app, "three", files)
-    assert told == {"added": ["a at 0.75 rev/s", "b_c at -0.3 rev/s"]}
+    records = add_records(app, "three", files)
+    assert records == {"added": ["a at 0.75 rev/s", "b_c at -0.3 rev/s"]}
     *_, first, second = read_campaign(folder / "three").runs
     assert [first.rate, second.rate] == pytest.approx([1.5 * np.pi, -0.6 * np.pi], rel=1e-12)
     assert second.record == folder / "three" / "b c.csv"

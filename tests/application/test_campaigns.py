@@ -35,8 +35,8 @@ def test_poses_count_as_runs(page, folder):
     write_pose_campaign(
         folder / "triad", compute_indications(draw_directions(15, np.random.default_rng(1)))
     )
-    found = {c["name"]: c["runs"] for c in page.get("/api/folder").json()["campaigns"]}
-    assert found == {"three": 3, "triad": 15}
+    runs = {c["name"]: c["runs"] for c in page.get("/api/folder").json()["campaigns"]}
+    assert runs == {"three": 3, "triad": 15}
 
 
 def test_state_changes_with_files(page, folder):
@@ -141,9 +141,9 @@ def test_invalid_request_returns_error_without_traceback(page, method, path, sai
 
 
 def test_surrogates_and_nan_are_encoded_as_json():
-    told = to_json({"name": "\udcff.json", "u": [1.0, float("inf"), float("nan")]})
-    assert json.loads(told) == {"name": "\udcff.json", "u": [1.0, None, None]}
-    assert told.isascii()
+    text = to_json({"name": "\udcff.json", "u": [1.0, float("inf"), float("nan")]})
+    assert json.loads(text) == {"name": "\udcff.json", "u": [1.0, None, None]}
+    assert text.isascii()
 
 
 def test_pipe_and_undecodable_file_name_are_skipped(page, folder):

@@ -107,17 +107,19 @@ def test_uploaded_key_signs_both_files_and_is_not_stored(
         "/api/certificate", json=SAID | {"both": True, "signing": signing}
     )
     assert response.status_code == 200, response.json()
-    told = response.json()
-    assert told["files"] == ["three/certificate.xml", "three/certificate.pdf"]
-    for name in told["files"]:
+    actual_response = response.json()
+    assert actual_response["files"] == ["three/certificate.xml", "three/certificate.pdf"]
+    for name in actual_response["files"]:
         assert check_certificate(folder / name, signer_certificate=cert).signature == "valid"
     assert (
-        check_certificate(folder / told["files"][1], signer_certificate=cert).page_signature
+        check_certificate(
+            folder / actual_response["files"][1], signer_certificate=cert
+        ).page_signature
         == "valid"
     )
     # The command names the original files and omits the password.
     own = [f"--cert={cert.name}"] if write is write_pair else []
-    assert shlex.split(told["command"])[6:] == ["--both", f"--key={key.name}", *own]
+    assert shlex.split(actual_response["command"])[6:] == ["--both", f"--key={key.name}", *own]
     written = set(folder.rglob("*")) - before
     assert {path.name for path in written} == {"certificate.xml", "certificate.pdf"}
     secrets = [

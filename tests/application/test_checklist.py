@@ -37,7 +37,13 @@ def test_unstated_bias_and_noise_are_estimated_from_data(tmp_path):
     text = re.sub(r"(?m)^bias = .*$", "", STATED)
     before, _, after = text.partition("[noise]")
     text = before + after[after.index("\n[") :] if after else before
-    found = checklist_entries(tmp_path, text)
-    assert (found["Bias"]["stated"], found["Scale factor"]["stated"]) == (False, True)
-    assert found["Bias"]["effect"] == "not stated for Qx, Qy; the data alone determine the value"
-    assert found["Noise"]["effect"] == "estimated from the residuals (Type A)"
+    actual_checklist_entries = checklist_entries(tmp_path, text)
+    assert (
+        actual_checklist_entries["Bias"]["stated"],
+        actual_checklist_entries["Scale factor"]["stated"],
+    ) == (False, True)
+    assert (
+        actual_checklist_entries["Bias"]["effect"]
+        == "not stated for Qx, Qy; the data alone determine the value"
+    )
+    assert actual_checklist_entries["Noise"]["effect"] == "estimated from the residuals (Type A)"

@@ -33,8 +33,8 @@ SHOWN = {
 
 def test_each_shown_command_is_tested():
     functions = inspect.getmembers(commands, inspect.isfunction)
-    made = {name for name, _ in functions if name.endswith("_command")}
-    assert made == set(SHOWN)
+    names = {name for name, _ in functions if name.endswith("_command")}
+    assert names == set(SHOWN)
 
 
 def test_commands_are_quoted_for_windows_shells(monkeypatch):

@@ -29,11 +29,13 @@ def upload(page, name, content, **more):
 def uploaded(page, folder):
     """Return the names of three records uploaded into a new folder."""
     contents = [(folder / "three" / f"{run}.csv").read_bytes() for run in RUNS]
-    told = [upload(page, f"new/{run}.csv", c).json() for run, c in zip(RUNS, contents, strict=True)]
-    assert [one["bytes"] for one in told] == list(map(len, contents))
+    responses = [
+        upload(page, f"new/{run}.csv", c).json() for run, c in zip(RUNS, contents, strict=True)
+    ]
+    assert [one["bytes"] for one in responses] == list(map(len, contents))
     for run, content in zip(RUNS, contents, strict=True):
         assert (folder / "new" / f"{run}.csv").read_bytes() == content
-    return [one["name"] for one in told]
+    return [one["name"] for one in responses]
 
 
 def test_uploaded_files_become_campaign(page, folder, uploaded):
@@ -61,9 +63,9 @@ def plain_folder(tmp_path_factory):
 def calibrate_from_page(page, folder, files, sense="counterclockwise"):
     """Upload files, answer the questions and return K_II of the resulting campaign."""
     names = [upload(page, f"lab/{f.name}", f.read_bytes()).json()["name"] for f in files]
-    asked = page.post("/api/draft", json={"names": names}).json()["questions"]
+    questions = page.post("/api/draft", json={"names": names}).json()["questions"]
     known = ANSWERS | COUNTED | {"sense": sense}
-    needed = [one for one in asked if one["guess"] is None]
+    needed = [one for one in questions if one["guess"] is None]
     answers = {entry["key"]: known.get(entry["key"], entry["example"]) for entry in needed}
     request = {"folder": "lab", "names": names, "answers": answers}
     response = page.post("/api/drafted", json=request)
@@ -97,7 +99,7 @@ def draft_columns(page, names, **more):
 
 
 def test_draft_shows_columns_and_problems(page, uploaded):
-    told, columns = draft_columns(page, uploaded)
+    actual_columns, columns = draft_columns(page, uploaded)
     assert list(columns)[:2] == ["time_s", "angle_rad"]
     assert {len(column["first"]) for column in columns.values()} == {4}
     time, angle, east = (columns[name]["curve"] for name in ("time_s", "angle_rad", "east_m"))
@@ -112,8 +114,8 @@ def test_draft_shows_columns_and_problems(page, uploaded):
     assert (low <= high).all()
     assert sum(np.diff(np.sign(low)) > 0) == 4
     answers = {"gravity": "9,81", "east_m unit": "s"}
-    told, _ = draft_columns(page, uploaded, answers=answers)
-    (problem,) = told["problems"]
+    actual_columns, _ = draft_columns(page, uploaded, answers=answers)
+    (problem,) = actual_columns["problems"]
     assert problem.startswith("east_m unit: 's' is not a unit of")
 
 
@@ -135,29 +137,29 @@ def test_unused_column_has_reason(page, folder):
 
 
 def test_site_values_are_suggested_from_measured_campaigns(page, folder, uploaded):
-    told, _ = draft_columns(page, uploaded)
-    assert told["remembered"] == {}  # that campaign is simulated
+    columns, _ = draft_columns(page, uploaded)
+    assert columns["remembered"] == {}  # that campaign is simulated
     answers = {
         question["key"]: question["example"]
-        for question in told["questions"]
+        for question in columns["questions"]
         if question["guess"] is None
     }
     request = {"folder": "new", "names": uploaded, "answers": answers | ANSWERS}
     assert page.post("/api/drafted", json=request).status_code == 200
-    told, _ = draft_columns(page, uploaded)
-    assert told["remembered"] == {
+    columns, _ = draft_columns(page, uploaded)
+    assert columns["remembered"] == {
         key: {"answer": answer, "campaign": "new"} for key, answer in ANSWERS.items()
     }
     # An invalid value is not suggested.
     file = folder / "new" / "campaign.toml"
     file.write_text(file.read_text().replace('"2.5 m"', '"2.5 kg"'))
-    told, _ = draft_columns(page, uploaded)
-    assert set(told["remembered"]) == {"gravity", "latitude"}
+    columns, _ = draft_columns(page, uploaded)
+    assert set(columns["remembered"]) == {"gravity", "latitude"}
 
 
 def test_unit_menu_offers_convertible_units(page, uploaded):
-    told, _ = draft_columns(page, uploaded)
-    menus = {question["key"]: question["units"] for question in told["questions"]}
+    columns, _ = draft_columns(page, uploaded)
+    menus = {question["key"]: question["units"] for question in columns["questions"]}
     assert menus["radius"] == ["m", "mm", "um", "in"]
     for quantity, units in UNIT_CHOICES.items():
         assert all(is_convertible(unit, quantity) for unit in units)

@@ -23,17 +23,17 @@ from counterspin.units import unit_factor
 
 
 def find_section(form, key):
-    (found,) = (section for section in form if section["key"] == key)
-    return found
+    (actual_section,) = (section for section in form if section["key"] == key)
+    return actual_section
 
 
 def find_field(form, *path):
     name, *inner = path
     fields = find_section(form, name)["fields"]
     for key in inner:
-        (found,) = (field for field in fields if field["key"] == key)
-        fields = found.get("fields", [])
-    return found
+        (actual_field,) = (field for field in fields if field["key"] == key)
+        fields = actual_field.get("fields", [])
+    return actual_field
 
 
 def test_form_has_all_sections():
@@ -117,10 +117,10 @@ def test_offered_units_match_key():
     fields = [field for part in campaign_form() for field in flatten_fields(part["fields"])]
     quantities = [field for field in fields if field["kind"] == "quantity"]
     assert len(quantities) > 40
-    for one in quantities:
-        for unit in one["units"]:
+    for quantity in quantities:
+        for unit in quantity["units"]:
             if unit != "degC":
-                unit_factor(unit, one["unit"], gravity=9.8)
+                unit_factor(unit, quantity["unit"], gravity=9.8)
     columns = find_field(campaign_form(), "records", "time", "unit")
     assert "ms" in columns["suggestions"]
     assert "iso" in columns["suggestions"]

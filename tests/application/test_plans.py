@@ -54,8 +54,8 @@ def test_plan_page_matches_command_within_changed_limits(planned, folder):
     file = folder / "PLAN.toml"
     text = file.read_text().replace('"700 s"', '"1400 s"')
     file.write_text(text.replace('highest_rate = "1 rev/s"', 'highest_rate = "0.795775 rev/s"'))
-    found = plan(file).result
-    assert render_plan(found) == shown
+    result = plan(file).result
+    assert render_plan(result) == shown
     assert "best plan in half the time" in shown
     # The plan file has changed, so the search is repeated.
     assert planned.post("/api/plan-page", json={"name": "PLAN.toml"}).json()["job"] is not None

@@ -13,8 +13,8 @@ def test_chunk_extremes_match_loop():
     values[[3, 500]] = np.nan
     values[600:700] = np.nan
     edges = np.linspace(7, 991, 38).astype(int)
-    found = segment_extremes(values, edges)
-    for (low, high), begin, end in zip(found, edges[:-1], edges[1:], strict=True):
+    min_and_max_result = segment_extremes(values, edges)
+    for (low, high), begin, end in zip(min_and_max_result, edges[:-1], edges[1:], strict=True):
         part = values[begin:end][~np.isnan(values[begin:end])]
         if len(part):
             assert (low, high) == (part.min(), part.max())
@@ -35,18 +35,18 @@ def spiked_record(folder):
 
 
 def test_record_summary_has_rows_times_and_columns(page, spiked_record):
-    told = page.get("/api/record-about", params=RUN).json()["overview"]
-    assert told["rows"] == len(spiked_record)
-    assert (told["first"], told["last"]) == (
+    overview = page.get("/api/record-about", params=RUN).json()["overview"]
+    assert overview["rows"] == len(spiked_record)
+    assert (overview["first"], overview["last"]) == (
         spiked_record["time_s"][0],
         spiked_record["time_s"][-1],
     )
-    assert told["columns"] == [
+    assert overview["columns"] == [
         {"name": "angle_rad", "unit": "rad"},
         {"name": "Qx: east_m", "unit": "m"},
         {"name": "Qy: north_m", "unit": "m"},
     ]
-    assert told["used"] == [None, None]
+    assert overview["used"] == [None, None]
 
 
 def test_short_window_has_all_rows_and_long_window_keeps_outlier(page, spiked_record):

@@ -137,7 +137,7 @@ def test_failed_write_keeps_previous_file(inner_folder, monkeypatch):
 
 
 def test_messages_use_paths_relative_to_folder(inner_folder):
-    told = inner_folder.relative_paths(
+    relative_paths = inner_folder.relative_paths(
         f"{inner_folder.root}{os.sep}a: wrong; {inner_folder.root}: too"
     )
-    assert told == "a: wrong; this folder: too"
+    assert relative_paths == "a: wrong; this folder: too"

@@ -24,11 +24,11 @@ HALF = b"GET /api/folder HTTP/1.1\r\nHost: 127.0"
 def _request_page(port, key):
     """Return the status of a page request and its duration, s."""
     begun = time.monotonic()
-    asked = http.client.HTTPConnection("127.0.0.1", port, timeout=BOUND)
-    asked.request("GET", "/api/folder", headers={"Authorization": f"Bearer {key}"})
-    with asked.getresponse() as answer:
+    HTTPConnection = http.client.HTTPConnection("127.0.0.1", port, timeout=BOUND)
+    HTTPConnection.request("GET", "/api/folder", headers={"Authorization": f"Bearer {key}"})
+    with HTTPConnection.getresponse() as answer:
         answer.read()
-    asked.close()
+    HTTPConnection.close()
     return answer.status, time.monotonic() - begun
 
 
@@ -42,12 +42,12 @@ def test_unauthenticated_connections_do_not_block_server(tmp_path):
         server.stdout.readline()
         link = re.search(r":(\d+)/#token=(\S+)", server.stdout.readline())
         port = int(link[1])
-        asked = http.client.HTTPConnection("127.0.0.1", port, timeout=BOUND)
+        HTTPConnection = http.client.HTTPConnection("127.0.0.1", port, timeout=BOUND)
         headers = {"Origin": f"http://127.0.0.1:{port}"}
-        asked.request("POST", "/api/session", json.dumps({"token": link[2]}), headers)
-        with asked.getresponse() as answer:
+        HTTPConnection.request("POST", "/api/session", json.dumps({"token": link[2]}), headers)
+        with HTTPConnection.getresponse() as answer:
             key = json.load(answer)["key"]
-        asked.close()
+        HTTPConnection.close()
         whole = f"GET /api/folder HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode()
         taken = []
         for sent, number in ((HALF, 300), (whole, 100)):

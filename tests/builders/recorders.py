@@ -258,8 +258,8 @@ def _(frame, path):
 @_file("a clock of whole seconds beside the time")
 def _(frame, path):
     rows = [
-        [one, *row]
-        for one, row in zip(_stamps(frame, "%Y-%m-%d %H:%M:%S"), _cells(frame), strict=True)
+        [stamp, *row]
+        for stamp, row in zip(_stamps(frame, "%Y-%m-%d %H:%M:%S"), _cells(frame), strict=True)
     ]
     _put(path, ["Timestamp,Elapsed [s],Angle [deg],East [m],North [m]"], rows, ",")
 

@@ -86,10 +86,10 @@ def test_wrong_radius_is_contradicted_in_all_outputs(noise, request, tmp_path, c
     assert re.search(r"a radius of the centrifuge of (2\.499\d+|2\.500\d+) ±", first["text"])
     assert {finding["code"] for finding in first["explains"]} & {"lack-of-fit", "noise-implausible"}
     assert first["contradicts"]
-    for name, found in document["accelerometers"].items():
-        assert found["state"] == "contradicted"
-        assert [finding["code"] for finding in found["findings"]] == ["wrong-input"], name
-        verdict = found["conformity"]["K_II"]
+    for name, accelerometer in document["accelerometers"].items():
+        assert accelerometer["state"] == "contradicted"
+        assert [finding["code"] for finding in accelerometer["findings"]] == ["wrong-input"], name
+        verdict = accelerometer["conformity"]["K_II"]
         assert verdict["verdict"] == "undecided"
         assert verdict["reason"].startswith("the records contradict the result")
 

@@ -157,6 +157,8 @@ def test_calibration_does_not_need_extra(run_without_modules, full_results, extr
         assert result["runs"] == expected["runs"]
         for name, accelerometer in expected["accelerometers"].items():
             filled = FILLED.get(extra, set())
-            found = result["accelerometers"][name]
-            different = {key for key, value in accelerometer.items() if found[key] != value}
+            actual_accelerometer = result["accelerometers"][name]
+            different = {
+                key for key, value in accelerometer.items() if actual_accelerometer[key] != value
+            }
             assert different <= filled

@@ -170,19 +170,19 @@ def test_wrong_noise_is_single_finding():
 def test_findings_of_checks_are_also_warnings():
     odd = Finding(code="odd", subject="Qx.K_II", text="It is odd.", size=4.0)
     drift = Finding(code="large-drift", subject="platform.drift.north", text="It is large.")
-    found = judge_result(make_qx_result(findings=[odd]).model_copy(update={"findings": [drift]}))
-    assert finding_codes(found) == ["odd", "large-drift"]
-    assert finding_codes(found.accelerometers["Qx"]) == ["odd"]
-    assert found.accelerometers["Qx"].warnings == ["Qx: It is odd."]
-    assert found.warnings == ["It is large."]
+    result = judge_result(make_qx_result(findings=[odd]).model_copy(update={"findings": [drift]}))
+    assert finding_codes(result) == ["odd", "large-drift"]
+    assert finding_codes(result.accelerometers["Qx"]) == ["odd"]
+    assert result.accelerometers["Qx"].warnings == ["Qx: It is odd."]
+    assert result.warnings == ["It is large."]
 
 
 def test_state_of_result_is_worst_of_accelerometers():
-    one, two = (
+    first, second = (
         make_qx_result(**change).accelerometers["Qx"]
         for change in ({}, {"jackknife": make_jackknife(-6.1)})
     )
-    both = make_qx_result().model_copy(update={"accelerometers": {"Qx": one, "Qy": two}})
+    both = make_qx_result().model_copy(update={"accelerometers": {"Qx": first, "Qy": second}})
     calibration = judge_result(both)
     assert calibration.accelerometers["Qx"].state == "good"
     assert calibration.accelerometers["Qy"].state == "contradicted"
@@ -316,11 +316,11 @@ def test_earlier_result_is_checked_for_incredible_values(
     monkeypatch.chdir(tmp_path)
     write_lab(tmp_path)
     before = write_earlier_result(tmp_path)
-    found = write_earlier_result(tmp_path, **{symbol: value})
+    earlier_result = write_earlier_result(tmp_path, **{symbol: value})
     assert not any(f.code == "incredible" for f in before.findings)
-    assert found.state == found.accelerometers["Qx"].state == "contradicted"
-    assert ("incredible", f"Qx.{symbol}") in {(f.code, f.subject) for f in found.findings}
-    assert refusal_reason(found, ["Qy"]) is None
+    assert earlier_result.state == earlier_result.accelerometers["Qx"].state == "contradicted"
+    assert ("incredible", f"Qx.{symbol}") in {(f.code, f.subject) for f in earlier_result.findings}
+    assert refusal_reason(earlier_result, ["Qy"]) is None
     assert cli.main(["certificate", "old.json", "LAB.toml", "-o", "c.xml"]) == 1
     assert f"{symbol} = {value:g}" in " ".join(capsys.readouterr().err.split())
     read = cs.history(["old.json"]).left_out
@@ -330,8 +330,8 @@ def test_earlier_result_is_checked_for_incredible_values(
 
 def test_earlier_result_may_have_any_grade(tmp_path):
     """The file does not state the grade: a bias of 0.3 g is credible for a consumer grade."""
-    found = write_earlier_result(tmp_path, K_F=0.3)
-    assert not any(f.code == "incredible" for f in found.findings)
+    earlier_result = write_earlier_result(tmp_path, K_F=0.3)
+    assert not any(f.code == "incredible" for f in earlier_result.findings)
 
 
 def test_platform_and_unstated_terms_of_earlier_result_are_checked(tmp_path):

@@ -29,10 +29,14 @@ def explained_codes(*found, causes, name="Qx"):
 
 
 def test_findings_removed_by_cause_are_explained():
-    found = explained_codes(
+    actual_explained_codes = explained_codes(
         MISFIT, RUN, DRIFT, causes=[make_cause(("run-disagrees", "Qx.K_II", 3.9))]
     )
-    assert found == [("wrong-input", ["lack-of-fit"]), ("run-disagrees", []), ("large-drift", [])]
+    assert actual_explained_codes == [
+        ("wrong-input", ["lack-of-fit"]),
+        ("run-disagrees", []),
+        ("large-drift", []),
+    ]
 
 
 def test_nearly_removed_finding_is_explained():

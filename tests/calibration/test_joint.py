@@ -132,10 +132,10 @@ def test_json_follows_contract(result, campaign, tmp_path):
     assert document["model"] == "exact"
     assert (document["state"], document["findings"]) == ("good", [])
     assert document["accepted_misfit"] is None
-    one = document["accelerometers"]["Qx"]
-    assert (one["state"], one["findings"]) == ("good", [])
-    assert list(one["coefficients"]) == ["K_F", "K_I", "K_II", "K_III"]
-    for c in one["coefficients"].values():
+    qx = document["accelerometers"]["Qx"]
+    assert (qx["state"], qx["findings"]) == ("good", [])
+    assert list(qx["coefficients"]) == ["K_F", "K_I", "K_II", "K_III"]
+    for c in qx["coefficients"].values():
         uncertainties = {"u", "u_noise", "u_stated", "u_unstated"}
         assert set(c) == {"value", *uncertainties, "dof", "unit", "estimated"}
         assert type(c["estimated"]) is bool
@@ -144,14 +144,14 @@ def test_json_follows_contract(result, campaign, tmp_path):
             assert all(type(part) is float for part in [c["value"], c["u"], *parts])
             assert c["u"] == pytest.approx(math.hypot(*parts), rel=1e-12)
             assert c["dof"] is None
-    assert one["coefficients"]["K_II"]["unit"] == "g/g^2"
-    terms, matrix = one["correlation"]["terms"], np.array(one["correlation"]["matrix"])
+    assert qx["coefficients"]["K_II"]["unit"] == "g/g^2"
+    terms, matrix = qx["correlation"]["terms"], np.array(qx["correlation"]["matrix"])
     assert matrix.shape == (len(terms),) * 2
     np.testing.assert_allclose(np.diag(matrix), 1.0, rtol=1e-12)
-    assert set(one["residual"]) == {"rms", "unit", "dof", "chi2", "lack_of_fit_p"}
-    assert one["residual"]["unit"] == "m"
-    assert isinstance(one["confounded"], list)
-    assert isinstance(one["warnings"], list)
+    assert set(qx["residual"]) == {"rms", "unit", "dof", "chi2", "lack_of_fit_p"}
+    assert qx["residual"]["unit"] == "m"
+    assert isinstance(qx["confounded"], list)
+    assert isinstance(qx["warnings"], list)
     run = document["runs"]["run1"]
     assert run["rate"] == pytest.approx(math.pi / 2, rel=1e-7)
     assert (run["rate_unit"], run["drift_unit"]) == ("rad/s", "1/s")
@@ -380,9 +380,11 @@ def test_budget_line_matches_change_of_estimate(
             before = base.accelerometers[name].coefficients[symbol]
             after = moved.accelerometers[name].coefficients[symbol]
             derivative = (after.value - before.value) / step
-            said = {x.source: x.sensitivity for x in lines}.get(source, 0.0)
+            response = {x.source: x.sensitivity for x in lines}.get(source, 0.0)
             # Below a thousandth of u, rounding and curvature may show.
-            assert derivative == pytest.approx(said, rel=0.01, abs=2e-3 * before.u / step), symbol
+            assert derivative == pytest.approx(response, rel=0.01, abs=2e-3 * before.u / step), (
+                symbol
+            )
             assert before.u_stated == pytest.approx(
                 math.sqrt(sum(x.contribution**2 for x in lines if x.kind == "stated")),
                 rel=1e-6,
@@ -411,8 +413,8 @@ def test_run_with_separate_error_is_named(tmp_path):
     z = {x.run: abs(x.z) for x in ill.accelerometers["Qx"].jackknife}
     assert max(z, key=z.get) == "run3"
     assert z["run3"] > 4
-    told = [finding for finding in ill.findings if "run3" in finding.subject + finding.text]
-    assert told
+    findings = [finding for finding in ill.findings if "run3" in finding.subject + finding.text]
+    assert findings
     assert ill.state != "good"
     assert not any("disagrees" in w for w in ill.accelerometers["Qy"].warnings)
 

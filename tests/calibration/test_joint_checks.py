@@ -77,9 +77,9 @@ def test_run_without_information_on_k_ii_has_no_z():
             "runs": [{"name": f"{rate}", "rate": f"{rate} rev/s"} for rate in (0.3, 0.6, 1)],
         }
     )
-    found = calibrate(simulate(known)).accelerometers["Qz"].jackknife
-    assert len(found) == 3
-    assert all(each.z is None and abs(each.shift) < 1e-11 for each in found)
+    jackknife = calibrate(simulate(known)).accelerometers["Qz"].jackknife
+    assert len(jackknife) == 3
+    assert all(each.z is None and abs(each.shift) < 1e-11 for each in jackknife)
 
 
 def test_two_stage_comparison_uses_model_of_joint_fit(tmp_path):

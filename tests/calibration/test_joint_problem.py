@@ -228,8 +228,8 @@ def test_two_recorders_have_separate_clocks(tmp_path):
     record_with_clocks(tmp_path)
     _, right = calibrate_description(tmp_path, FORCE)
     record_with_clocks(tmp_path, fast=2e-4)
-    one, _ = calibrate_description(tmp_path, FORCE)
-    assert one.state == "contradicted"
+    description, _ = calibrate_description(tmp_path, FORCE)
+    assert description.state == "contradicted"
     text = set_recorder(FORCE, ', clock = "0.0002 ± 1e-7"')
     result, two = calibrate_description(tmp_path, text)
     assert result.state == "good"

@@ -28,9 +28,9 @@ FROM = '[noise]\nfrom = "rest.csv"'
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    made = tmp_path_factory.mktemp("rest")
+    new_folder = tmp_path_factory.mktemp("rest")
     return write_static_record(
-        simulate_measured_campaign(made, tmp_path_factory.mktemp("plan"), SMALL)
+        simulate_measured_campaign(new_folder, tmp_path_factory.mktemp("plan"), SMALL)
     )
 
 
@@ -63,14 +63,14 @@ def test_accelerometers_have_noise_of_record_at_rest(folder):
 
 
 def test_stated_noise_overrides_record_at_rest(folder):
-    (one,) = make_noise(
+    (noise,) = make_noise(
         describe_noise(
             folder, **{"from": "rest.csv", "displacement": "2 cm", "acceleration": "1 ug/Hz^0.5"}
         )
     ).values()
-    assert one.white == 0.02
-    assert one.random_walk == pytest.approx(9.8066e-6, rel=1e-12)
-    assert one.covariance == ()
+    assert noise.white == 0.02
+    assert noise.random_walk == pytest.approx(9.8066e-6, rel=1e-12)
+    assert noise.covariance == ()
 
 
 def test_stated_resolution_is_part_of_white_noise(folder):
@@ -93,21 +93,21 @@ def test_result_matches_stated_noise_with_dof_of_record(
 ):
     found, by_hand, noise = both_results
     dof = 2.0 * noise.white**4 / noise.covariance[0][0]
-    one, other = (r.accelerometers["Qx"].coefficients["K_II"] for r in (found, by_hand))
-    assert (one.value, one.u) == pytest.approx((other.value, other.u), rel=1e-9)
-    assert other.dof is None
-    assert one.dof == pytest.approx(dof, rel=0.01)
+    first, second = (r.accelerometers["Qx"].coefficients["K_II"] for r in (found, by_hand))
+    assert (first.value, first.u) == pytest.approx((second.value, second.u), rel=1e-9)
+    assert second.dof is None
+    assert first.dof == pytest.approx(dof, rel=0.01)
     assert 3500 < dof < 4500
 
 
 def test_lack_of_fit_test_includes_uncertainty_of_noise(both_results):
     found, by_hand, noise = both_results
     dof = 2.0 * noise.white**4 / noise.covariance[0][0]
-    one, other = (r.accelerometers["Qx"].residual for r in (found, by_hand))
-    assert one.chi2 == pytest.approx(other.chi2, rel=1e-9)
-    p = fisher.sf(one.chi2 / one.dof, one.dof, dof)
-    assert one.lack_of_fit_p == pytest.approx(p, rel=1e-6)
-    assert abs(one.lack_of_fit_p - 0.5) < abs(other.lack_of_fit_p - 0.5)
+    first, second = (r.accelerometers["Qx"].residual for r in (found, by_hand))
+    assert first.chi2 == pytest.approx(second.chi2, rel=1e-9)
+    p = fisher.sf(first.chi2 / first.dof, first.dof, dof)
+    assert first.lack_of_fit_p == pytest.approx(p, rel=1e-6)
+    assert abs(first.lack_of_fit_p - 0.5) < abs(second.lack_of_fit_p - 0.5)
 
 
 def test_result_names_record_of_noise(folder, both_results):
@@ -135,16 +135,16 @@ def test_two_stage_method_uses_record_at_rest(folder, both_results):
     _, _, noise = both_results
     campaign = describe_noise(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
     by_hand = describe_noise(folder, displacement=f"{noise.white!r} m")
-    (one, other) = (
+    (first, second) = (
         cs.calibrate(c, method="two-stage", options=TwoStageOptions()).accelerometers["Qx"]
         for c in (campaign, by_hand)
     )
-    k, k_by_hand = one.coefficients["K_II"], other.coefficients["K_II"]
+    k, k_by_hand = first.coefficients["K_II"], second.coefficients["K_II"]
     assert (k.value, k.u) == pytest.approx((k_by_hand.value, k_by_hand.u), rel=1e-9)
     dof = 2.0 * noise.white**4 / noise.covariance[0][0]
     assert k.dof is not None
     assert k.dof >= 0.99 * dof
-    assert one.noise["displacement"].record == "rest.csv"
+    assert first.noise["displacement"].record == "rest.csv"
 
 
 def test_forecast_uses_record_at_rest(folder, both_results):
@@ -152,10 +152,10 @@ def test_forecast_uses_record_at_rest(folder, both_results):
     of_rest = describe_noise(folder, **{"from": "rest.csv", "acceleration": "0 g/Hz^0.5"})
     by_hand = describe_noise(folder, displacement=f"{noise.white!r} m")
     runs = [run | {"revolutions": 20} for run in find_runs(of_rest, "slow", "middle", "fast")]
-    one, other = (
+    first, second = (
         forecast(c.change({"runs": runs}), sampling_rate=20.0) for c in (of_rest, by_hand)
     )
-    assert one.u["Qx.K_II"] == pytest.approx(other.u["Qx.K_II"], rel=1e-12)
+    assert first.u["Qx.K_II"] == pytest.approx(second.u["Qx.K_II"], rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_both_methods_use_angle_for_displacement(method, noise, tmp_path):
         result = cs.calibrate(write_campaign(tmp_path, "displacement", noise, seed), method=method)
         assert "methods-disagree" not in {finding.code for finding in result.findings}
         z += z_scores(result)
-        found = result.accelerometers["Qx"].noise.get("timing")
+        response = result.accelerometers["Qx"].noise.get("timing")
         if method == "joint" and not noise:
-            assert found.value == pytest.approx(TIMING, rel=0.1)
+            assert response.value == pytest.approx(TIMING, rel=0.1)
     assert np.mean(np.square(z)) < 1.0 + 4.0 * math.sqrt(2.0 / len(z))

@@ -82,11 +82,11 @@ def test_slope_is_estimated_within_runs_of_equal_temperature(observable, noise):
     campaign = make_campaign(describe(observable), records=records)
     result = calibrate(campaign)
     assert result.state == "good", result.findings
-    found = result.accelerometers["A"].coefficients
+    coefficients = result.accelerometers["A"].coefficients
     for symbol, true in (("K_F", BIAS), ("K_F.temperature", SLOPE)):
-        one = found[symbol]
+        one = coefficients[symbol]
         assert abs(one.value - true) < 4.0 * one.u, (symbol, one)
-    assert found["K_F.temperature"].u < 0.01 * SLOPE
+    assert coefficients["K_F.temperature"].u < 0.01 * SLOPE
     warmest = 273.15 + float(records["r0"]["T"].max())
     assert result.inputs.temperatures == pytest.approx([296.15, warmest], abs=0.05)
     assert result.inputs.reference_temperature == pytest.approx(296.15)

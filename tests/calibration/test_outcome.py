@@ -54,5 +54,5 @@ def test_counts_are_summed_over_columns():
     ("outliers", "accelerometers", "said"), [(46, 1, 0), (47, 1, 1), (96, 2, 0), (97, 2, 1)]
 )
 def test_more_than_5_percent_outliers_is_finding(outliers, accelerometers, said):
-    found = check_outlier_share("A.r", make_report(outliers).counts(), accelerometers)
-    assert [(f.code, f.subject) for f in found] == [("many-outliers", "A.r")] * said
+    outlier_share = check_outlier_share("A.r", make_report(outliers).counts(), accelerometers)
+    assert [(f.code, f.subject) for f in outlier_share] == [("many-outliers", "A.r")] * said

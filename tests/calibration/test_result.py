@@ -133,13 +133,16 @@ def contains_document(old, new):
 def test_earlier_results_are_read_completely(path):
     old = json.loads(path.read_text(encoding="utf-8"))
     read = Result.read(path)
-    said = old if old["schema"] == Result.newest_schema() else upgrade(old)
+    actual_old = old if old["schema"] == Result.newest_schema() else upgrade(old)
     # Written again, it has newer fields as null and a new seal.
-    said = {key: value for key, value in said.items() if key != "seal"}
-    assert contains_document(said, json.loads(read.to_json()))
-    for name, found in read.accelerometers.items():
+    actual_old = {key: value for key, value in actual_old.items() if key != "seal"}
+    assert contains_document(actual_old, json.loads(read.to_json()))
+    for name, actual_accelerometer in read.accelerometers.items():
         stated = old["accelerometers"][name]["coefficients"]["K_II"]
-        assert (found.coefficients["K_II"].value, found.coefficients["K_II"].u) == (
+        assert (
+            actual_accelerometer.coefficients["K_II"].value,
+            actual_accelerometer.coefficients["K_II"].u,
+        ) == (
             stated["value"],
             stated["u"],
         )

@@ -11,17 +11,19 @@ from counterspin.calibration.result_parts import Correlation
 
 def make_result(correlation, dof):
     """Return a result of K_F, K_I... with this correlation and these degrees of freedom."""
-    made = by_hand.make_qx_result()
-    (name, accelerometer), *_ = made.accelerometers.items()
+    qx_result = by_hand.make_qx_result()
+    (name, accelerometer), *_ = qx_result.accelerometers.items()
     like = next(iter(accelerometer.coefficients.values()))
     symbols = ("K_F", "K_I", "K_II", "K_III")[: len(dof)]
     coefficients = {
         symbol: like.model_copy(update={"value": 1.0 + place, "u": 10.0**-place, "dof": freedom})
         for place, (symbol, freedom) in enumerate(zip(symbols, dof, strict=True))
     }
-    one = accelerometer.model_copy(update={"coefficients": coefficients})
+    changed_accelerometer = accelerometer.model_copy(update={"coefficients": coefficients})
     stated = Correlation(terms=[f"{name}.{s}" for s in symbols], matrix=correlation.tolist())
-    return made.model_copy(update={"accelerometers": {name: one}, "correlation": stated})
+    return qx_result.model_copy(
+        update={"accelerometers": {name: changed_accelerometer}, "correlation": stated}
+    )
 
 
 def make_correlation(r):

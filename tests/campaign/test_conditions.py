@@ -45,12 +45,14 @@ def list_problems(folder, text):
 
 def test_conditions_are_relative_to_first_run_and_reference(tmp_path):
     campaign = write_and_read_campaign(tmp_path, add_conditions(SMALL))
-    found = run_conditions(campaign)
-    assert found["slow"].start == 120.0
-    assert found["middle"].start == 720.0
-    assert found["fast"].start == 0.0
+    conditions = run_conditions(campaign)
+    assert conditions["slow"].start == 120.0
+    assert conditions["middle"].start == 720.0
+    assert conditions["fast"].start == 0.0
     # Without a stated reference, the mean of the recorded temperatures is used.
-    assert [found[name].temperature_offset for name in STATED] == pytest.approx([-1.0, 1.0, 0.0])
+    assert [conditions[name].temperature_offset for name in STATED] == pytest.approx(
+        [-1.0, 1.0, 0.0]
+    )
     text = replace_parts(
         add_conditions(SMALL),
         ('radius = "2.5 m"', 'radius = "2.5 m"\nreference_temperature = "20 degC"'),
@@ -76,8 +78,8 @@ def test_default_temperature_rises_by_1_k_over_runs(tmp_path):
     ]
     assert warmths == [-0.5, 0.0, 0.5]
     before, _, after = SMALL.partition("[[runs]]")
-    one = f"{before}[[runs]]{after.partition('[[runs]]')[0]}{after[after.index('[simulation]') :]}"
-    alone = write_and_read_campaign(tmp_path / "one", one)
+    text = f"{before}[[runs]]{after.partition('[[runs]]')[0]}{after[after.index('[simulation]') :]}"
+    alone = write_and_read_campaign(tmp_path / "one", text)
     assert list(run_conditions(alone).values()) == [RunConditions(0.0, 0.0)]
 
 
@@ -280,11 +282,13 @@ def test_hysteresis_acts_after_temperature_reversal(tmp_path):
             "columns": {"attitude": "deg", "reading": "g", "u": "u", "temperature": "degC"}
         },
     }
-    found = calibrate(make_campaign(described, readings=frame)).accelerometers["A"].coefficients
+    coefficients = (
+        calibrate(make_campaign(described, readings=frame)).accelerometers["A"].coefficients
+    )
     for symbol, truth in (("K_F", 1e-3), ("K_F.temperature", 2e-6), ("K_F.hysteresis", 5e-5)):
-        assert abs(found[symbol].value - truth) < 4 * found[symbol].u, symbol
+        assert abs(coefficients[symbol].value - truth) < 4 * coefficients[symbol].u, symbol
     # The means of the first and third twelve readings differ only by the hysteresis.
-    assert found["K_F.hysteresis"].u == pytest.approx(1e-6 * math.sqrt(2 / 12), rel=1e-3)
+    assert coefficients["K_F.hysteresis"].u == pytest.approx(1e-6 * math.sqrt(2 / 12), rel=1e-3)
     del described["model"]["assume"]
     described["model"]["terms"] = ["K_F", "K_I"]
     unstated = calibrate(make_campaign(described, readings=frame))

@@ -156,14 +156,14 @@ def test_quantities_are_resolved_to_si(tmp_path):
     assert campaign.model.limits == {}
     for symbol, row in TABLE.items():
         assert (campaign.limit_of(symbol), campaign.typical_of(symbol)) == (row.limit, row.typical)
-    one, two = campaign.runs
-    assert (one.name, one.rate) == ("run1", pytest.approx(math.pi / 2, rel=1e-15))
-    assert (two.record, two.rate) == (
+    first, second = campaign.runs
+    assert (first.name, first.rate) == ("run1", pytest.approx(math.pi / 2, rel=1e-15))
+    assert (second.record, second.rate) == (
         tmp_path / "run2.parquet",
         pytest.approx(-math.pi, rel=1e-15),
     )
-    assert np.array_equal(one.attitude, np.eye(3))
-    assert campaign.simulation is one.truth is one.duration is None
+    assert np.array_equal(first.attitude, np.eye(3))
+    assert campaign.simulation is first.truth is first.duration is None
 
 
 def test_file_and_folder_read_alike(tmp_path):
@@ -451,10 +451,10 @@ def test_attitudes_are_parsed(tmp_path):
         ('"run1.csv"', '"run1.csv"\nattitude = "90 deg about east"'),
         ('"run2.parquet"', '"run2.mat"\nattitude = { x = "up", y = [0, 2, 0] }'),
     )
-    one, two = read_campaign(write_description(tmp_path, text)).runs
+    first, second = read_campaign(write_description(tmp_path, text)).runs
     east, north, up = np.eye(3)
-    assert np.array_equal(one.attitude, [east, up, -north])
-    assert np.array_equal(two.attitude, [up, north, -east])
+    assert np.array_equal(first.attitude, [east, up, -north])
+    assert np.array_equal(second.attitude, [up, north, -east])
 
 
 @pytest.mark.parametrize(
@@ -514,9 +514,9 @@ def test_simulation_truth_is_read(tmp_path):
     assert truth.start_offset == {"Qx": 1e-3, "Qy": 0.0}
     assert truth.start_velocity == {"Qx": 0.0, "Qy": 0.0}
     assert vars(truth.noise) == {**dict.fromkeys(vars(truth.noise), 0.0), "displacement": 1e-3}
-    one, two = campaign.runs
-    assert (one.duration, two.duration) == (pytest.approx(40.0, rel=1e-14), 60.0)
-    rate = one.rate
+    first, second = campaign.runs
+    assert (first.duration, second.duration) == (pytest.approx(40.0, rel=1e-14), 60.0)
+    rate = first.rate
     of_one, of_two = truth.runs.values()
     assert of_one.spindle == Spindle(
         rate, 1e-6, (Ripple(1, 1e-5 * rate, math.pi / 2), Ripple(3, 1e-6, 0.0))
@@ -542,8 +542,8 @@ def test_truth_does_not_change_calibration_inputs(tmp_path):
     apart = {"runs", "simulation", "source"}
     for name in set(vars(plain)) - apart:
         assert getattr(plain, name) == getattr(with_truth, name), name
-    for one, other in zip(plain.runs, with_truth.runs, strict=True):
-        assert (one.name, one.rate, one.record) == (other.name, other.rate, other.record)
+    for first, second in zip(plain.runs, with_truth.runs, strict=True):
+        assert (first.name, first.rate, first.record) == (second.name, second.rate, second.record)
 
 
 @pytest.mark.parametrize(
@@ -663,12 +663,12 @@ def test_stretch_can_be_prior_requested_or_omitted(tmp_path):
     model = read_campaign(write_description(tmp_path, edit(stretched))).model
     assert "centrifuge.stretch" not in (*model.terms, *model.considered)
     assert model.priors["centrifuge.stretch"].u == 5e-9
-    asked = ('"K_III"]', '"K_III", "centrifuge.stretch"]')
-    model = read_campaign(write_description(tmp_path, edit(stretched, asked))).model
+    texts = ('"K_III"]', '"K_III", "centrifuge.stretch"]')
+    model = read_campaign(write_description(tmp_path, edit(stretched, texts))).model
     assert model.considered == ()
     assert model.terms[-1] == "centrifuge.stretch"
     twice = ("[model.priors]", '[model.priors]\n"centrifuge.stretch" = "0 ± 1e-9 s^2/m"')
-    (problem,) = list_problems(tmp_path, edit(stretched, asked, twice))
+    (problem,) = list_problems(tmp_path, edit(stretched, texts, twice))
     assert problem.startswith('model.priors."centrifuge.stretch": is also given in [centrifuge]')
 
 
@@ -705,11 +705,11 @@ def test_terms_without_effect_are_named(tmp_path, key, symbol, strapped, message
 
 
 def test_encoder_errors_require_recorded_angle(tmp_path):
-    asked = ('"K_III"]', '"K_III", "encoder.harmonic.1"]')
+    texts = ('"K_III"]', '"K_III", "encoder.harmonic.1"]')
     unrecorded = ('angle = { column = "angle", unit = "deg" }', "")
-    (problem,) = list_problems(tmp_path, edit(asked, unrecorded))
+    (problem,) = list_problems(tmp_path, edit(texts, unrecorded))
     assert problem == "model.terms: contains encoder errors, but no angle is recorded"
-    assert read_campaign(write_description(tmp_path, edit(asked))).model.terms[-2:] == (
+    assert read_campaign(write_description(tmp_path, edit(texts))).model.terms[-2:] == (
         "encoder.harmonic.1.cos",
         "encoder.harmonic.1.sin",
     )

@@ -12,15 +12,15 @@ from counterspin.errors import CampaignError
 
 def test_mapping_is_equivalent_to_file(tmp_path):
     file = campaigns.write_description(tmp_path, campaigns.SMALL)
-    of_file, made = (
+    of_file, campaign = (
         read_campaign(file),
         make_campaign(frames.parse_small_description(), folder=tmp_path),
     )
     apart = {"path", "title", "runs", "source", "frames", "simulation"}
     for name in set(vars(of_file)) - apart:
-        assert getattr(made, name) == getattr(of_file, name), name
-    assert [run.record for run in made.runs] == [run.record for run in of_file.runs]
-    assert (made.title, str(made.path)) == ("", "campaign in memory")
+        assert getattr(campaign, name) == getattr(of_file, name), name
+    assert [run.record for run in campaign.runs] == [run.record for run in of_file.runs]
+    assert (campaign.title, str(campaign.path)) == ("", "campaign in memory")
 
 
 def test_frames_replace_files(tmp_path):
@@ -91,10 +91,10 @@ def test_errors_match_those_of_file(tmp_path):
     document = frames.parse_small_description()
     document["centrifuge"]["radius"] = "2.5 s"
     document["nose"] = document.pop("noise")
-    with pytest.raises(CampaignError) as made:
+    with pytest.raises(CampaignError) as error_info:
         make_campaign(document)
-    assert set(made.value.problems) == set(of_file.value.problems)
-    assert str(made.value).startswith("campaign in memory: 2 mistakes")
+    assert set(error_info.value.problems) == set(of_file.value.problems)
+    assert str(error_info.value).startswith("campaign in memory: 2 mistakes")
 
 
 @pytest.mark.parametrize(

@@ -132,8 +132,8 @@ def test_errors_of_file_state_line(tmp_path):
         read_campaign(write_description(tmp_path, wrong))
     lines = str(raised.value).splitlines()
     assert lines[0].endswith(f"campaign.toml: {len(raised.value.problems)} mistakes")
-    for told, problem in zip(lines[1:], raised.value.problems, strict=True):
-        number = int(re.fullmatch(rf"  line (\d+): {re.escape(problem)}", told)[1])
+    for line, problem in zip(lines[1:], raised.value.problems, strict=True):
+        number = int(re.fullmatch(rf"  line (\d+): {re.escape(problem)}", line)[1])
         last = re.split(r"[.:]", problem.partition(": ")[0])[-1]
         assert last in wrong.splitlines()[number - 1]
 

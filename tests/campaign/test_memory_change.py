@@ -70,8 +70,8 @@ def test_records_in_memory_are_preserved_or_replaced(tmp_path):
     ]
     fewer = campaign.change({"runs": campaigns.find_runs(campaign, "fast")})
     assert len(fewer.frames) == 1
-    made = make_campaign(frames.parse_small_description(), folder=tmp_path)
-    given = made.change({}, records={"slow": records["slow"]})
+    new_campaign = make_campaign(frames.parse_small_description(), folder=tmp_path)
+    given = new_campaign.change({}, records={"slow": records["slow"]})
     assert list(given.frames) == [tmp_path / "slow.csv"]
 
 

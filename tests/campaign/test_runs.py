@@ -168,7 +168,7 @@ def test_clock_is_assigned_per_recorder(tmp_path):
     read = read_changed(
         tmp_path, *two_recorders('recorder = "B"', 'recorder = "C", clock = "1 ± 0.1 ppm"')
     )
-    clocks = {one.recorder: one.clock for one in map(read.recording_of, read.runs)}
+    clocks = {run.recorder: run.clock for run in map(read.recording_of, read.runs)}
     assert list(clocks) == ["B", "C", ""]
     assert clocks["B"] is clocks[""] is None
     assert (clocks["C"].value, clocks["C"].u) == pytest.approx((1e-6, 1e-7))

@@ -32,10 +32,10 @@ G = 9.8
     ],
 )
 def test_limits_are_parsed(text, unit, low, high):
-    found = parse_specification(text, unit, gravity=G)
-    assert found.unit == unit
-    assert found.low == (None if low is None else pytest.approx(low, rel=1e-8))
-    assert found.high == (None if high is None else pytest.approx(high, rel=1e-8))
+    specification = parse_specification(text, unit, gravity=G)
+    assert specification.unit == unit
+    assert specification.low == (None if low is None else pytest.approx(low, rel=1e-8))
+    assert specification.high == (None if high is None else pytest.approx(high, rel=1e-8))
 
 
 @given(st.integers(-10_000, 10_000), st.integers(1, 10_000))
@@ -84,20 +84,20 @@ def test_rejects_invalid_specification(text, words):
 
 def resolve_table(table, accelerometers=("Qx", "Qy")):
     problems = Problems({})
-    found = resolve_specifications(table, accelerometers, problems=problems, gravity=G)
-    assert (found is None) == bool(problems.lines)
-    return found, problems.lines
+    specifications = resolve_specifications(table, accelerometers, problems=problems, gravity=G)
+    assert (specifications is None) == bool(problems.lines)
+    return specifications, problems.lines
 
 
 def test_default_rule_applies_to_all_accelerometers():
-    found, _ = resolve_table({"K_II": "abs <= 5e-5 g/g^2"})
-    assert found.rule == DecisionRule("guarded", 1.0, 0.95)
+    table, _ = resolve_table({"K_II": "abs <= 5e-5 g/g^2"})
+    assert table.rule == DecisionRule("guarded", 1.0, 0.95)
     limits = Specification("abs <= 5e-5 g/g^2", -5e-5, 5e-5, "g/g^2")
-    assert found.terms == {"Qx": {"K_II": limits}, "Qy": {"K_II": limits}}
+    assert table.terms == {"Qx": {"K_II": limits}, "Qy": {"K_II": limits}}
 
 
 def test_accelerometer_limits_override_common_limits():
-    found, _ = resolve_table(
+    table, _ = resolve_table(
         {
             "decision_rule": "probability",
             "conformance_probability": 0.99,
@@ -105,18 +105,18 @@ def test_accelerometer_limits_override_common_limits():
             "Qy": {"K_II": "<= 1e-5 g/g^2", "K_F": "abs <= 5 mg"},
         }
     )
-    assert found.rule == DecisionRule("probability", 1.0, 0.99)
-    assert set(found.terms["Qx"]) == {"K_II"}
-    assert found.terms["Qx"]["K_II"].high == 5e-5
-    assert found.terms["Qy"]["K_II"].high == 1e-5
-    assert found.terms["Qy"]["K_F"].high == pytest.approx(5e-3)
+    assert table.rule == DecisionRule("probability", 1.0, 0.99)
+    assert set(table.terms["Qx"]) == {"K_II"}
+    assert table.terms["Qx"]["K_II"].high == 5e-5
+    assert table.terms["Qy"]["K_II"].high == 1e-5
+    assert table.terms["Qy"]["K_F"].high == pytest.approx(5e-3)
 
 
 @pytest.mark.parametrize("symbol", TERMS)
 def test_terms_can_be_specified_in_their_unit(symbol):
     unit = TERMS[symbol].unit
-    found, _ = resolve_table({symbol: f"abs <= 1e-5 {unit}"})
-    assert found.terms["Qx"][symbol] == Specification(f"abs <= 1e-5 {unit}", -1e-5, 1e-5, unit)
+    table, _ = resolve_table({symbol: f"abs <= 1e-5 {unit}"})
+    assert table.terms["Qx"][symbol] == Specification(f"abs <= 1e-5 {unit}", -1e-5, 1e-5, unit)
 
 
 def test_all_errors_are_reported_by_key():
@@ -183,8 +183,8 @@ def test_error_in_table_names_key(table, line):
 def test_campaign_contains_specifications(tmp_path, starter):
     path = tmp_path / "campaign.toml"
     path.write_text(starter + '\n[specification]\nK_II = "abs <= 5e-5 g/g^2"\n', encoding="utf-8")
-    found = read_campaign(path).specifications
-    assert {name: set(terms) for name, terms in found.terms.items()} == {
+    specifications = read_campaign(path).specifications
+    assert {name: set(terms) for name, terms in specifications.terms.items()} == {
         name: {"K_II"} for name in read_campaign(path).accelerometers
     }
     path.write_text(starter, encoding="utf-8")

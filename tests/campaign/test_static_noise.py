@@ -32,9 +32,9 @@ def skip_intervals():
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Return a folder with the description of a simulation, and a record at rest."""
-    made = write_static_record(tmp_path_factory.mktemp("described"), rows=2000)
-    write_description(made, replace_parts(SMALL, (STATED, FROM), (TRUE_NOISE, "")))
-    return made
+    static_record = write_static_record(tmp_path_factory.mktemp("described"), rows=2000)
+    write_description(static_record, replace_parts(SMALL, (STATED, FROM), (TRUE_NOISE, "")))
+    return static_record
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +59,8 @@ def test_largest_estimated_noise_is_simulated(folder, largest_white_noise):
     made, stated = (
         cs.simulate(c) for c in (read_campaign(folder), state_noise(folder, largest_white_noise))
     )
-    for one, other in zip(made.runs, stated.runs, strict=True):
-        frames = made.record_at(one.record).frame(), stated.record_at(other.record).frame()
+    for first, second in zip(made.runs, stated.runs, strict=True):
+        frames = made.record_at(first.record).frame(), stated.record_at(second.record).frame()
         assert frames[0].equals(frames[1])
     assert cs.calibrate(made).accelerometers["Qy"].noise["displacement"].record == "rest.csv"
 
@@ -94,8 +94,8 @@ def test_forecast_assumes_undetected_noise_is_zero(folder, largest_white_noise):
     longer = {"runs": [run | {"revolutions": 20} for run in runs]}
     without_truth = campaign.change(alone | longer | {"truth": None, "simulation": None})
     stated = stated.change(alone)
-    one, other = (forecast(c, sampling_rate=20.0).u["Qy.K_II"] for c in (without_truth, stated))
-    assert one == pytest.approx(other, rel=1e-12)
+    first, second = (forecast(c, sampling_rate=20.0).u["Qy.K_II"] for c in (without_truth, stated))
+    assert first == pytest.approx(second, rel=1e-12)
 
 
 #: The merge patch that leaves only Qy.
@@ -106,11 +106,11 @@ def test_study_uses_noise_of_record(folder, largest_white_noise):
     beside = {"acceleration": "0 g/Hz^0.5"}  # otherwise the trials would estimate it
     of_rest = read_campaign(folder).change(ONLY_QY | {"noise": beside})
     stated = state_noise(folder, largest_white_noise).change(ONLY_QY)
-    one, other = (
+    first, second = (
         cs.study(c, trials=50, seed=1).analyses["joint"].coefficients["Qy.K_II"]
         for c in (of_rest, stated)
     )
-    assert (one.bias, one.se_bias) == pytest.approx((other.bias, other.se_bias), rel=1e-9)
+    assert (first.bias, first.se_bias) == pytest.approx((second.bias, second.se_bias), rel=1e-9)
 
 
 PLAN = """
@@ -149,15 +149,15 @@ def test_plan_uses_and_states_estimated_noise(tmp_path):
         columns=["east_m"],
     ).signals
     size = f"{signal.components['displacement'].value!r} m"
-    found = plan(file)
+    planned = plan(file)
     file.write_text(replace_parts(PLAN, ('from = "rest.csv"', f'displacement = "{size}"')), "utf-8")
     stated = plan(file)
-    assert found.document == stated.document
-    assert f'displacement = "{size}"' in found.document
-    assert found.u == stated.u
+    assert planned.document == stated.document
+    assert f'displacement = "{size}"' in planned.document
+    assert planned.u == stated.u
     # A campaign changed in memory also names files next to the plan.
-    again = found.change(total_time=found.source["limits"]["total_time"])
-    assert (again.document, again.file) == (found.document, file)
+    again = planned.change(total_time=planned.source["limits"]["total_time"])
+    assert (again.document, again.file) == (planned.document, file)
 
 
 def test_plan_rejects_bias_walk(tmp_path):

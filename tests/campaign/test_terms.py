@@ -119,10 +119,10 @@ def test_head_component_prior_overrides_general_priors(tmp_path, order):
     )
     text = format_site() + ACCELEROMETER + "".join(["[model.priors]\n", *stated[::order], *read])
     priors = write_and_read_campaign(tmp_path, text).model.priors
-    found = {symbol: round(prior.u / ARCSEC, 9) for symbol, prior in priors.items()}
+    rounded_values = {symbol: round(prior.u / ARCSEC, 9) for symbol, prior in priors.items()}
     first = {"head.harmonic.1.cos": 2.0, "head.harmonic.1.sin": 3.0}
     others = {f"head.harmonic.{n}.{wave}": 1.0 for n in (2, 3, 4) for wave in ("cos", "sin")}
-    assert found == {**first, **others}
+    assert rounded_values == {**first, **others}
 
 
 def test_accelerometer_prior_overrides_common_prior():

@@ -184,8 +184,8 @@ def test_interrupted_study_prints_one_message_and_can_resume(hostile_campaign, m
     assert cli.main(["study", str(hostile_campaign)]) == 130
     assert capsys.readouterr().err == "counterspin: stopped\n"
     assert cli.main(["study", str(hostile_campaign), "-o", str(hostile_campaign)]) == 130
-    told = "counterspin: stopped; to continue, repeat the command with --resume\n"
-    assert capsys.readouterr().err == told
+    text = "counterspin: stopped; to continue, repeat the command with --resume\n"
+    assert capsys.readouterr().err == text
 
 
 @pytest.mark.parametrize(

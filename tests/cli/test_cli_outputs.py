@@ -101,8 +101,8 @@ def test_certificate_does_not_overwrite_files(name, work_folder, capsys):
     before = read_contents(work_folder)
     assert cli.main(["certificate", "r.json", "LAB.toml", "-o", name]) in (1, 2)
     assert name in capsys.readouterr().err
-    for what in ("certificate", "plan"):
-        assert cli.main([what, "--init", name]) == 1
+    for text in ("certificate", "plan"):
+        assert cli.main([text, "--init", name]) == 1
         assert f"{name} already exists" in capsys.readouterr().err
     assert read_contents(work_folder) == before
 

@@ -235,10 +235,10 @@ def run_shell(script, folder, **environment):
         capture_output=True,
         check=False,
     )
-    said = (run.stdout + run.stderr).decode("utf-8", "replace")
-    assert "internal error" not in said
-    assert "Traceback" not in said
-    return run.returncode, said
+    decode = (run.stdout + run.stderr).decode("utf-8", "replace")
+    assert "internal error" not in decode
+    assert "Traceback" not in decode
+    return run.returncode, decode
 
 
 @pytest.fixture(scope="module")

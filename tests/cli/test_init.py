@@ -54,8 +54,8 @@ def test_exports_to_result(tmp_path, plain_folder, reference, name, capsys):
     assert f"counterspin calibrate {folder}" in output
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     assert "# - pendulous axes: assumed down" in text
-    found = read_k_ii(folder)
-    assert abs(found.value - reference.value) < 0.01 * reference.u
+    k_ii = read_k_ii(folder)
+    assert abs(k_ii.value - reference.value) < 0.01 * reference.u
 
 
 def test_arm_table_to_result(tmp_path, monkeypatch, capsys):
@@ -72,9 +72,9 @@ def test_arm_table_to_result(tmp_path, monkeypatch, capsys):
     assert "'left' is not one of counterclockwise, clockwise. Try again:" in output
     assert "The data suggest about 1 V/g. (for example 1.25 V/g)" in output
     assert main(["calibrate", str(tmp_path / "a"), "--json", str(tmp_path / "r.json")]) == 0
-    found = Result.read(tmp_path / "r.json").accelerometers["A"].coefficients
-    assert found["K_F"].value == pytest.approx(0.003, abs=1e-4)
-    assert found["K_I"].value == pytest.approx(1.0, abs=1e-4)
+    coefficients = Result.read(tmp_path / "r.json").accelerometers["A"].coefficients
+    assert coefficients["K_F"].value == pytest.approx(0.003, abs=1e-4)
+    assert coefficients["K_I"].value == pytest.approx(1.0, abs=1e-4)
 
 
 def test_missing_answer_is_requested(tmp_path, plain_folder, monkeypatch, capsys):

@@ -157,10 +157,10 @@ def test_documentation_example_recovers_truth(tmp_path, monkeypatch, capsys):
 def test_documented_options_match_help(capsys):
     assert cli.main(["apply", "--help"]) == 0
     (table,) = re.findall(r"^## Options\n(.*?)^Terms", PAGE, re.MULTILINE | re.DOTALL)
-    told = set(re.findall(r"`(--[a-z-]+)", table))
+    matches = set(re.findall(r"`(--[a-z-]+)", table))
     # The first cell of a row; the rest is prose.
     helped = set(re.findall(r"^\W+(--[a-z-]+)", capsys.readouterr().out, re.MULTILINE))
-    assert told == helped - {"--accelerometer", "--output"}
+    assert matches == helped - {"--accelerometer", "--output"}
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -216,8 +216,8 @@ GERMAN = "Pr\xfcfling 7\nQx;t\ng;s\n1,250;0,5\n-2,500;1,5\n3,000;2,5\n"
 
 def test_decimal_commas_are_read_and_written(folder, capsys):
     Path("in.csv").write_bytes(GERMAN.encode("latin-1"))
-    said = ["--skip-lines=1", "--delimiter=;", "--decimal=,", "--encoding=latin-1", "--units-row"]
-    for more in ([], said):
+    texts = ["--skip-lines=1", "--delimiter=;", "--decimal=,", "--encoding=latin-1", "--units-row"]
+    for more in ([], texts):
         words = ["result.json", "in.csv", "--accelerometer=Qx", "--overwrite", *more]
         assert run(*words, "-o", "out.csv") == 0
         assert run(*words, "-o", "out.parquet") == 0
@@ -250,8 +250,8 @@ def test_second_sheet_requires_choice_and_unit_row_is_skipped(folder):
     expected = apply(make_result(), "Qx", [1.25, -2.5, 3.0]).corrected
     for sheet in "AB":
         assert run(*words, "--sheet", sheet) == 0
-        found = pl.read_parquet("out.parquet")["East_corrected"].to_numpy()
-        np.testing.assert_array_equal(found, expected)
+        to_numpy = pl.read_parquet("out.parquet")["East_corrected"].to_numpy()
+        np.testing.assert_array_equal(to_numpy, expected)
 
 
 def test_missing_number_leaves_row_empty(folder, capsys):
@@ -266,8 +266,8 @@ def test_missing_number_leaves_row_empty(folder, capsys):
 
 
 def test_cross_axis_force_from_column_constant_or_accelerometer(folder, capsys):
-    found, models = make_three()
-    cs.write_result(found, folder / "three.json")
+    three, models = make_three()
+    cs.write_result(three, folder / "three.json")
     rng = np.random.default_rng(8)
     force = rng.uniform(-20.0, 20.0, size=(50, 3))
     pl.DataFrame(
@@ -383,13 +383,13 @@ def test_contradicted_result_requires_reason(folder, capsys):
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     judge_result(result).write(folder / "result.json", overwrite=True)
     assert run(*words, "--force") == 1
-    said = " ".join(capsys.readouterr().err.split())
-    assert "the records contradict the result for Qx: Omitting run1 shifts K_II" in said
+    text = " ".join(capsys.readouterr().err.split())
+    assert "the records contradict the result for Qx: Omitting run1 shifts K_II" in text
     assert not Path("out.csv").exists()
     judge_result(result, "run1 was on the old motor").write(folder / "result.json", overwrite=True)
     assert run(*words) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "The misfit was accepted for this reason: run1 was on the old motor" in said
+    text = " ".join(capsys.readouterr().out.split())
+    assert "The misfit was accepted for this reason: run1 was on the old motor" in text
 
 
 def test_rejects_result_with_undetermined_coefficient():
@@ -553,16 +553,16 @@ def test_readings_extend_calibrated_range():
 
 
 def test_results_of_earlier_versions_have_no_axes():
-    found, _ = make_three()
+    three, _ = make_three()
     old = {
         n: accelerometer.model_copy(update={"axes": None})
-        for n, accelerometer in found.accelerometers.items()
+        for n, accelerometer in three.accelerometers.items()
     }
-    found = found.model_copy(update={"accelerometers": old})
+    three = three.model_copy(update={"accelerometers": old})
     level = ApplyOptions(pendulous="-1 g", output_axis=0.0)
-    assert apply(found, "Qx", [1.0], level).corrected.shape == (1,)
+    assert apply(three, "Qx", [1.0], level).corrected.shape == (1,)
     with raises("missing-in-result", "Qx"):
-        apply(found, "Qx", [1.0], ApplyOptions(others={"Qy": [0.0], "Qz": [1.0]}))
+        apply(three, "Qx", [1.0], ApplyOptions(others={"Qy": [0.0], "Qz": [1.0]}))
 
 
 def test_error_in_python_names_sample(tmp_path):

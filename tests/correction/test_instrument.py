@@ -43,8 +43,10 @@ def test_cross_axis_forces_act_through_product_terms():
     terms = {"K_IP": (3e-6, 1e-7), "K_OO": (2e-6, 2e-7), "K_I": (1.0, 1e-5)}
     units = {"K_IP": "g/g^2", "K_OO": "g/g^2", "K_I": "g/g"}
     own = {symbol: make_coefficient(*pair, units[symbol]) for symbol, pair in terms.items()}
-    made = make_bare_result(accelerometers={"Qx": make_accelerometer_result(coefficients=own)})
-    found = made.predict("Qx", FORCE, pendulous=PENDULOUS, output_axis=0.5)
+    bare_result = make_bare_result(
+        accelerometers={"Qx": make_accelerometer_result(coefficients=own)}
+    )
+    found = bare_result.predict("Qx", FORCE, pendulous=PENDULOUS, output_axis=0.5)
     products = {"K_IP": FORCE * PENDULOUS, "K_OO": 0.25 * np.ones(5), "K_I": FORCE}
     expected = sum(terms[symbol][0] * products[symbol] for symbol in terms)
     assert found.indicated == pytest.approx(expected, rel=1e-14)

@@ -44,7 +44,7 @@ def test_output_and_u_match_nine_parameters(result):
     corrections = correct_all(result, y)
     values = [result.triad.parameters[name].value for name in result.triad.correlation.terms]
     u = np.array([result.triad.parameters[name].u for name in result.triad.correlation.terms])
-    force = np.column_stack([one.corrected for one in corrections])
+    force = np.column_stack([correction.corrected for correction in corrections])
     assert force == pytest.approx(apply_nine_parameters(values, y), abs=1e-12)
     matrix, bias = np.array(result.triad.matrix), np.array(result.triad.bias)
     assert force == pytest.approx((y - bias) @ matrix.T, abs=1e-12)
@@ -59,7 +59,7 @@ def test_output_and_u_match_nine_parameters(result):
             / 2e-6
         )
     variance = np.einsum("pni,pq,qni->ni", slopes, covariance, slopes)
-    claimed = np.column_stack([one.u for one in corrections])
+    claimed = np.column_stack([correction.u for correction in corrections])
     assert claimed == pytest.approx(np.sqrt(variance), rel=1e-6)
 
 
@@ -86,7 +86,7 @@ def test_default_priors_are_included_for_all_three_axes(tmp_path, result):
         if "u does not include the uncertainty of these terms" in text
     ]
     assert all("temperature" in text for text in texts), texts
-    u = np.column_stack([one.u for one in corrections])
+    u = np.column_stack([correction.u for correction in corrections])
     # The default u of K_II of a MEMS sensor is 1e-3 g/g^2: 9e-3 g at 3 g.
     assert u[4, 2] == pytest.approx(9e-3, rel=0.25)
     assert (

@@ -108,18 +108,18 @@ def test_u_of_slope_and_temperature(power):
 
 
 def test_correlation_of_slope_and_coefficient_is_included():
-    found = make_result(
+    result = make_result(
         {"K_F": 0.0, "K_F.temperature": 0.0}, {"K_F": 3e-6, "K_F.temperature": 1e-6}
     )
-    own = found.accelerometers["A"].model_copy(
+    own = result.accelerometers["A"].model_copy(
         update={
             "correlation": Correlation(
                 terms=["K_F", "K_F.temperature"], matrix=[[1.0, -1.0], [-1.0, 1.0]]
             )
         }
     )
-    found = found.model_copy(update={"accelerometers": {"A": own}})
-    done = apply(found, "A", [0.1, 0.1], ApplyOptions(temperature=[REFERENCE + 3, REFERENCE + 4]))
+    result = result.model_copy(update={"accelerometers": {"A": own}})
+    done = apply(result, "A", [0.1, 0.1], ApplyOptions(temperature=[REFERENCE + 3, REFERENCE + 4]))
     np.testing.assert_allclose(done.u, [0.0, 1e-6], rtol=1e-9, atol=1e-18)
 
 

@@ -41,7 +41,7 @@ def between_limits(low, high):
 
 
 # JCGM 106:2012, worked examples of clause 7, as printed, two digits.
-JCGM_106 = [one for one in cases() if one.name.startswith("JCGM 106")]
+JCGM_106 = [actual_case for actual_case in cases() if actual_case.name.startswith("JCGM 106")]
 
 
 @pytest.mark.parametrize("example", JCGM_106, ids=lambda example: example.name)

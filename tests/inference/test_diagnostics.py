@@ -75,10 +75,10 @@ def test_dominant_wave_is_first_finding():
     """The tone of run b precedes the drift of run a, and spectral peaks precede sign tests."""
     slow = white_noise(1) + np.linspace(-1.0, 1.0, 2000)
     tone = white_noise(2) + np.sin(0.3 * np.arange(2000.0))
-    said = diagnose({"a": slow, "b": tone}, 3990, noise_given=False).findings
-    assert said[0].startswith("b: a spectral peak")
-    assert said[0].endswith("a periodic effect, such as a vibration.")
-    assert any(one.startswith("a: ") for one in said[1:])
+    findings = diagnose({"a": slow, "b": tone}, 3990, noise_given=False).findings
+    assert findings[0].startswith("b: a spectral peak")
+    assert findings[0].endswith("a periodic effect, such as a vibration.")
+    assert any(one.startswith("a: ") for one in findings[1:])
 
 
 def test_sign_test_moments_match_permutations():

@@ -99,14 +99,14 @@ def test_decision_has_risk_of_rule(rule):
     edge = {"simple": 5e-5, "guarded": 5e-5 - 1.959964 * U, "probability": 5e-5 - 1.644854 * U}
     assert accepted(edge[rule] - 1e-11)
     assert not accepted(edge[rule] + 1e-11)
-    found = decide(0.0, U, None, specification, decision_rule).global_risk
+    global_risk = decide(0.0, U, None, specification, decision_rule).global_risk
 
     def integrand(z):
         noise = stats.norm(PROCESS.sigma * z, U)
         return stats.norm.pdf(z) * (noise.cdf(edge[rule]) - noise.cdf(-edge[rule]))
 
     expected = 2.0 * integrate.quad(integrand, 2.0, 6.0, epsabs=1e-13)[0]
-    assert found.consumer == pytest.approx(expected, rel=1e-5)
+    assert global_risk.consumer == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("sigma", [0.0, -1.0, math.inf])

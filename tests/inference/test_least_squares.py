@@ -437,13 +437,17 @@ def test_row_noise_changes_uncertainty_and_not_estimate():
     prior_sd, noise = np.array([0.5, np.inf]), rng.uniform(0.2, 3.0, 8)
     rows = Block(a, y, a[:, :1], 0.0, 8, 0)
     even = solve([rows], prior_sd=prior_sd, considered_sd=[0.1])
-    found = even.replace_row_noise(noise)
+    replace_row_noise = even.replace_row_noise(noise)
     inverse = np.linalg.inv(a.T @ a + np.diag([4.0, 0.0]))
     gain = inverse @ a.T
-    np.testing.assert_array_equal(found.estimate, even.estimate)
-    np.testing.assert_allclose(found.covariance_noise, gain * noise**2 @ gain.T, rtol=1e-12)
-    np.testing.assert_array_equal(found.covariance_considered, even.covariance_considered)
-    parts = found.combine([1.0, 0.0])
+    np.testing.assert_array_equal(replace_row_noise.estimate, even.estimate)
+    np.testing.assert_allclose(
+        replace_row_noise.covariance_noise, gain * noise**2 @ gain.T, rtol=1e-12
+    )
+    np.testing.assert_array_equal(
+        replace_row_noise.covariance_considered, even.covariance_considered
+    )
+    parts = replace_row_noise.combine([1.0, 0.0])
     np.testing.assert_allclose(parts.noise_rows, gain[0] * noise, rtol=1e-10, atol=1e-15)
     np.testing.assert_allclose(parts.considered, even.combine([1.0, 0.0]).considered, rtol=1e-12)
-    assert parts.u == pytest.approx(found.u[0], rel=1e-12)
+    assert parts.u == pytest.approx(replace_row_noise.u[0], rel=1e-12)

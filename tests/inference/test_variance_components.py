@@ -23,11 +23,11 @@ def test_dyestuff_components_match_lme4():
                  1445 1440 1595 1465 1545  1595 1630 1515 1635 1625  1520 1455 1450 1480 1445"""
     values = np.array(batches.split(), dtype=float)
     groups = {"batch": in_groups(6, 5), "sample": list(range(30))}
-    found = variance_components(values, np.zeros((30, 30)), groups, mean_of(30))
-    batch, sample = found.components["batch"], found.components["sample"]
+    components = variance_components(values, np.zeros((30, 30)), groups, mean_of(30))
+    batch, sample = components.components["batch"], components.components["sample"]
     assert batch.value**2 == pytest.approx(1764.05, rel=1e-5)
     assert sample.value**2 == pytest.approx(2451.25, rel=1e-5)
-    assert (found.value, found.u) == pytest.approx((1527.5, 19.383), rel=1e-4)
+    assert (components.value, components.u) == pytest.approx((1527.5, 19.383), rel=1e-4)
     assert (batch.groups, batch.dof, sample.dof) == (6, 5, 24)
 
 
@@ -42,7 +42,7 @@ def test_nested_components_match_anova():
     """Compare with lme4 (Bates 2010, section 2.2) by REML: 1.657, 8.434, 0.678."""
     values = np.array(PASTE.split(), dtype=float)
     groups = {"cask": in_groups(30, 2), "batch": in_groups(10, 6), "test": list(range(60))}
-    found = variance_components(values, np.zeros((60, 60)), groups, mean_of(60)).components
+    components = variance_components(values, np.zeros((60, 60)), groups, mean_of(60)).components
     cube = values.reshape(10, 3, 2)
     of_cask, of_batch = cube.mean(axis=2), cube.mean(axis=(1, 2))
     squares = (
@@ -56,13 +56,15 @@ def test_nested_components_match_anova():
         "test": squares[2],
     }
     for name, variance in expected.items():
-        assert found[name].value ** 2 == pytest.approx(variance, rel=1e-4)
+        assert components[name].value ** 2 == pytest.approx(variance, rel=1e-4)
     published = {"batch": 1.657, "cask": 8.434, "test": 0.678}
-    assert {n: round(c.value**2, 3) for n, c in found.items()} == pytest.approx(published, abs=5e-4)
+    assert {n: round(c.value**2, 3) for n, c in components.items()} == pytest.approx(
+        published, abs=5e-4
+    )
     # The batches may not differ at all (lme4's profile begins at 0 as well); the casks do.
-    assert found["batch"].low == 0.0
-    assert 2.0 < found["cask"].low < 2.5
-    assert [c.dof for c in found.values()] == [9, 20, 30]
+    assert components["batch"].low == 0.0
+    assert 2.0 < components["cask"].low < 2.5
+    assert [c.dof for c in components.values()] == [9, 20, 30]
 
 
 def test_bcg_trials_match_metafor():
@@ -74,20 +76,20 @@ def test_bcg_trials_match_metafor():
     risk = np.log(a / (a + b)) - np.log(c / (c + d))
     variance = 1 / a - 1 / (a + b) + 1 / c - 1 / (c + d)
     trials = {"trial": list(range(13))}
-    found = variance_components(risk, np.diag(variance), trials, mean_of(13))
-    assert found.components["trial"].value ** 2 == pytest.approx(0.3132, abs=5e-5)
-    assert (found.value, found.u) == pytest.approx((-0.7145, 0.1798), abs=5e-5)
+    components = variance_components(risk, np.diag(variance), trials, mean_of(13))
+    assert components.components["trial"].value ** 2 == pytest.approx(0.3132, abs=5e-5)
+    assert (components.value, components.u) == pytest.approx((-0.7145, 0.1798), abs=5e-5)
 
 
 def test_negative_variance_estimate_is_zero():
     """Balanced classes whose means scatter less than their members: the estimate is negative."""
     values = np.array([1.0, -1.0, 0.9, -0.9, 1.1, -1.1])
     groups = {"day": in_groups(3, 2), "turn": list(range(6))}
-    found = variance_components(values, np.zeros((6, 6)), groups, mean_of(6)).components
-    assert found["day"].value == found["day"].low == 0.0
+    components = variance_components(values, np.zeros((6, 6)), groups, mean_of(6)).components
+    assert components["day"].value == components["day"].low == 0.0
     # With it gone the other is the variance about the mean.
-    assert found["turn"].value == pytest.approx(values.std(ddof=1), rel=1e-5)
-    assert 0.0 < found["day"].high < 3.0
+    assert components["turn"].value == pytest.approx(values.std(ddof=1), rel=1e-5)
+    assert 0.0 < components["day"].high < 3.0
 
 
 def test_inseparable_factors_are_merged():
@@ -98,12 +100,12 @@ def test_inseparable_factors_are_merged():
         "turn": in_groups(6, 2),
         "site": ["here"] * 12,
     }
-    found = variance_components(
+    components = variance_components(
         rng.standard_normal(12), 0.01 * np.eye(12), groups, np.ones((12, 1))
     )
-    assert list(found.components) == ["day", "turn"]
-    assert found.same_as == {"mounting": "day"}
-    assert [c.dof for c in found.components.values()] == [2, 3]
+    assert list(components.components) == ["day", "turn"]
+    assert components.same_as == {"mounting": "day"}
+    assert [c.dof for c in components.components.values()] == [2, 3]
 
 
 def test_common_error_does_not_change_variances():
@@ -112,9 +114,9 @@ def test_common_error_does_not_change_variances():
     groups = {"day": list(range(4))}
     alone = variance_components(values, own, groups, mean_of(4))
     shared = variance_components(values, own + 100.0, groups, mean_of(4))
-    one, other = alone.components["day"], shared.components["day"]
-    assert (one.value, one.low, one.high) == pytest.approx(
-        (other.value, other.low, other.high), rel=1e-3
+    first, second = alone.components["day"], shared.components["day"]
+    assert (first.value, first.low, first.high) == pytest.approx(
+        (second.value, second.low, second.high), rel=1e-3
     )
     assert shared.u == pytest.approx(math.hypot(alone.u, 10.0), rel=1e-6)
 
@@ -150,10 +152,10 @@ def test_intervals_of_few_days_and_turn_ons_have_coverage():
             + turn * rng.standard_normal(12)
             + u * rng.standard_normal(12)
         )
-        found = variance_components(values, np.diag(u**2), groups, mean_of(12)).components
+        components = variance_components(values, np.diag(u**2), groups, mean_of(12)).components
         for place, (name, truth) in enumerate((("day", day), ("turn", turn))):
-            inside[place] += found[name].low <= truth <= found[name].high
-            variances[place] += found[name].value ** 2 / trials
+            inside[place] += components[name].low <= truth <= components[name].high
+            variances[place] += components[name].value ** 2 / trials
     spread = 3.0 * math.sqrt(0.95 * 0.05 / trials)
     assert np.all(inside / trials > 0.95 - spread), inside / trials
     assert inside.sum() < 2 * trials, inside

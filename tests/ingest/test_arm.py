@@ -89,7 +89,9 @@ def test_german_table_is_understood(tmp_path):
         },
     }
     campaign = read_campaign(write_description(found, tmp_path / "camp"))
-    assert [one.rate for one in campaign.readings[:5]] == [0.0] * 4 + [pytest.approx(-math.pi)]
+    assert [reading.rate for reading in campaign.readings[:5]] == [0.0] * 4 + [
+        pytest.approx(-math.pi)
+    ]
 
 
 def test_workbook_with_radii_and_names_is_understood(tmp_path):
@@ -104,9 +106,9 @@ def test_workbook_with_radii_and_names_is_understood(tmp_path):
     looks = read_files([path])
     assert guess_test(looks) == "arm"
     answers = PLACE | {"sense": "ccw", "inside radius": "1.0002 ± 1e-4 m"}
-    found = make_arm_draft(looks, answers | {"Output sensitivity": "1.25"})
-    assert found.open_questions == []
-    document = found.make_document(tmp_path)
+    arm_draft = make_arm_draft(looks, answers | {"Output sensitivity": "1.25"})
+    assert arm_draft.open_questions == []
+    document = arm_draft.make_document(tmp_path)
     assert document["centrifuge"] == {"radius": "1.0002 ± 1e-4 m"}
     assert document["model"] == {
         "priors": {
@@ -128,15 +130,15 @@ def test_workbook_with_radii_and_names_is_understood(tmp_path):
 def test_readings_determine_axes_of_unnamed_mountings(tmp_path):
     """The mountings read plus and minus the acceleration; the reading at rest is 1 g."""
     path = write_table(tmp_path / "t.csv", [["", *row[1:]] for row in make_rows(inward="")[::2]])
-    found = draft_arm(path)
-    guesses = {question.key: question.guess for question in found.questions}
+    arm = draft_arm(path)
+    guesses = {question.key: question.guess for question in arm.questions}
     assert guesses["axis"] == "inward"
     assert guesses["axis at rest"] == "up"
     # K_I, and what K_II adds to the readings of one side.
     assert "The data suggest about 1.251 mA/g." in next(
-        question.text for question in found.questions if "sensitivity" in question.key
+        question.text for question in arm.questions if "sensitivity" in question.key
     )
-    readings = found.make_document(tmp_path)["readings"]
+    readings = arm.make_document(tmp_path)["readings"]
     assert readings["axes"] == {"input": "inward", "pendulous": "up"}
     assert readings["axes_at_rest"] == {"input": "up", "pendulous": "outward"}
     path = write_table(tmp_path / "ab.csv", make_rows(inward="A", outward="B"))
@@ -151,10 +153,10 @@ def test_readings_determine_axes_of_unnamed_mountings(tmp_path):
 
 def test_forward_and_backward_are_mountings_along_radius(tmp_path):
     path = write_table(tmp_path / "t.csv", make_rows(inward="forward", outward="backward"))
-    found = draft_arm(path)
-    guesses = {question.key: question.guess for question in found.questions}
+    arm = draft_arm(path)
+    guesses = {question.key: question.guess for question in arm.questions}
     assert (guesses["forward axis"], guesses["backward axis"]) == ("inward", "outward")
-    assert "mounting 'forward': input axis inward, according to the readings" in found.statements
+    assert "mounting 'forward': input axis inward, according to the readings" in arm.statements
 
 
 def test_readings_at_rest_determine_axes(tmp_path):
@@ -170,21 +172,21 @@ def test_sense_column_is_used(tmp_path):
     path = write_table(tmp_path / "b.csv", [*rows, *against], "side,Direction,n_rpm,out_mA")
     answers = {**SAID, "out_mA sensitivity": "1.25"}
     del answers["sense"]
-    found = make_arm_draft(read_files([path]), answers)
-    assert found.open_questions == []
-    assert found.make_document(tmp_path)["readings"]["columns"]["sense"] == "Direction"
-    assert "sense" not in found.make_document(tmp_path)["readings"]
-    campaign = read_campaign(write_description(found, tmp_path / "camp"))
-    signs = [math.copysign(1.0, one.rate) for one in campaign.readings if one.rate]
+    arm_draft = make_arm_draft(read_files([path]), answers)
+    assert arm_draft.open_questions == []
+    assert arm_draft.make_document(tmp_path)["readings"]["columns"]["sense"] == "Direction"
+    assert "sense" not in arm_draft.make_document(tmp_path)["readings"]
+    campaign = read_campaign(write_description(arm_draft, tmp_path / "camp"))
+    signs = [math.copysign(1.0, reading.rate) for reading in campaign.readings if reading.rate]
     assert signs == [-1.0] * 24 + [1.0] * 6
 
 
 def test_coarse_rate_is_reported(tmp_path):
     rows = [["in", 30.0, 1.0], ["out", 67.0, -1.0]]
-    told = " ".join(draft_arm(write_table(tmp_path / "t.csv", rows)).statements)
+    text = " ".join(draft_arm(write_table(tmp_path / "t.csv", rows)).statements)
     assert (
         "column 'n_rpm' has so few digits that a change in the last digit changes the "
-        "acceleration by 7 %" in told
+        "acceleration by 7 %" in text
     )
     rows[0][1] = 30.00012
     assert "few digits" not in " ".join(draft_arm(write_table(tmp_path / "f.csv", rows)).statements)
@@ -200,20 +202,20 @@ def test_time_column_requires_more_readings_at_rest(tmp_path):
 
 def test_output_zero_is_found(tmp_path):
     rows = [[*row[:2], round(2.5 + 0.1 * row[2], 7)] for row in make_rows(up="", down="")[::2]]
-    found = draft_arm(write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_V"))
-    guesses = {question.key: question.guess for question in found.questions}
+    arm = draft_arm(write_table(tmp_path / "t.csv", rows, "side,n_rpm,out_V"))
+    guesses = {question.key: question.guess for question in arm.questions}
     assert guesses["axis at rest"] == "up"
     assert guesses["out_V zero"] == "2.5 V"
     assert "The data suggest about 0.1251 V/g." in " ".join(
-        question.text for question in found.questions
+        question.text for question in arm.questions
     )
 
 
 def test_mounting_name_contradicting_readings_is_reported(tmp_path):
     path = write_table(tmp_path / "t.csv", make_rows(inward="out", outward="in"))
-    said = "mounting 'out': outward according to the name, but inward according to the readings"
-    said += " if the sensitivity is positive"
-    assert said in draft_arm(path).statements
+    text = "mounting 'out': outward according to the name, but inward according to the readings"
+    text += " if the sensitivity is positive"
+    assert text in draft_arm(path).statements
 
 
 @pytest.mark.parametrize(
@@ -229,14 +231,19 @@ def test_pendulous_axis_rotates_with_input_axis(tmp_path, pendulous, along):
     words = ["in", "tangential", "out", "backward"]
     rows = [[word, 30.0, value] for word, value in zip(words, [1.0, 0.0, -1.0, 0.0], strict=True)]
     path = write_table(tmp_path / "t.csv", rows)
-    found = draft_arm(path, u="2e-6", **{"pendulous axis": pendulous})
-    mountings = found.make_document(tmp_path)["readings"]["mountings"]
+    arm = draft_arm(path, u="2e-6", **{"pendulous axis": pendulous})
+    mountings = arm.make_document(tmp_path)["readings"]["mountings"]
     assert [mountings[word]["pendulous"] for word in words] == along
     # Turned about up, all are the same instrument: the output axes are as the input axes are.
-    readings = read_campaign(write_description(found, tmp_path / "camp")).readings
-    upward = [one.axes.matrix[:, 2] for one in readings]
+    readings = read_campaign(write_description(arm, tmp_path / "camp")).readings
+    upward = [reading.axes.matrix[:, 2] for reading in readings]
     assert np.allclose(upward, upward[0])
-    assert [round(float(np.linalg.det(one.axes.matrix))) for one in readings] == [1, 1, 1, 1]
+    assert [round(float(np.linalg.det(reading.axes.matrix))) for reading in readings] == [
+        1,
+        1,
+        1,
+        1,
+    ]
 
 
 #: Rates in each mounting, how often each, mountings, readings at rest in each position -> whether
@@ -261,18 +268,18 @@ def test_too_few_readings_require_u(tmp_path, rates, times, sides, rests, shown)
     for rpm in np.repeat(np.linspace(30.0, 130.0, rates), times).tolist():
         rows += [["in", rpm, simulate_reading(centripetal_force(rpm), seed)]]
         rows += [["out", rpm, simulate_reading(-centripetal_force(rpm), seed)]] * (sides - 1)
-    found = draft_arm(write_table(tmp_path / "t.csv", rows))
-    assert [question.key for question in found.open_questions] == ([] if shown else ["u"])
+    arm = draft_arm(write_table(tmp_path / "t.csv", rows))
+    assert [question.key for question in arm.open_questions] == ([] if shown else ["u"])
     if shown:
-        write_description(found, tmp_path / "camp")
+        write_description(arm, tmp_path / "camp")
         calibrate(tmp_path / "camp")  # which refuses readings that are too few
         return
-    assert found.open_questions[0].text.endswith(
+    assert arm.open_questions[0].text.endswith(
         "The noise cannot be estimated from so few readings."
     )
-    found = draft_arm(tmp_path / "t.csv", u="2e-6")
-    campaign = read_campaign(write_description(found, tmp_path / "camp"))
-    assert [one.u for one in campaign.readings] == pytest.approx([2e-6 / 1.25] * len(rows))
+    arm = draft_arm(tmp_path / "t.csv", u="2e-6")
+    campaign = read_campaign(write_description(arm, tmp_path / "camp"))
+    assert [reading.u for reading in campaign.readings] == pytest.approx([2e-6 / 1.25] * len(rows))
 
 
 @pytest.mark.parametrize(
@@ -287,11 +294,11 @@ def test_rate_formats_return_same_campaign(tmp_path, head, number, unit):
     rows = [[word, number(rpm) if rpm else 0.0, value] for word, rpm, value in make_rows()]
     looks = read_files([write_table(tmp_path / "t.csv", rows, head)])
     assert guess_test(looks) == "arm"
-    found = make_arm_draft(looks, SAID | {"out_mA sensitivity": "1.25"})
-    assert found.make_document(tmp_path)["readings"]["rate_unit"] == unit
-    assert "The data suggest about 1.25 mA/g." in " ".join(q.text for q in found.questions)
-    campaign = read_campaign(write_description(found, tmp_path / "camp"))
-    rates = [one.rate for one in campaign.readings if one.rate]
+    arm_draft = make_arm_draft(looks, SAID | {"out_mA sensitivity": "1.25"})
+    assert arm_draft.make_document(tmp_path)["readings"]["rate_unit"] == unit
+    assert "The data suggest about 1.25 mA/g." in " ".join(q.text for q in arm_draft.questions)
+    campaign = read_campaign(write_description(arm_draft, tmp_path / "camp"))
+    rates = [reading.rate for reading in campaign.readings if reading.rate]
     assert rates == pytest.approx([-rpm * math.pi / 30.0 for _, rpm, _ in make_rows() if rpm])
 
 
@@ -305,9 +312,9 @@ def test_invalid_arm_table_raises(tmp_path):
     with pytest.raises(CampaignError, match=r"a mounting have 2 different radii \(in\)"):
         make_arm_draft(read_files([path]), answers).make_document(tmp_path)
     rows = [*make_rows()[:5], ["in", "", simulate_reading(centripetal_force(42.0))]]
-    found = draft_arm(write_table(tmp_path / "e.csv", rows), u="2e-6")
+    arm = draft_arm(write_table(tmp_path / "e.csv", rows), u="2e-6")
     with raises("missing-value", "line 7", "write 0"):
-        write_description(found, tmp_path / "camp")
+        write_description(arm, tmp_path / "camp")
 
 
 def simulate_unstated_terms(force, warmth, sizes):
@@ -351,8 +358,13 @@ def test_estimates_scatter_by_u(tmp_path):
                 rows.append([word, rpm, value, NOISE])
         path = write_table(tmp_path / f"{trial}.csv", rows, "side,n_rpm,out_mA,u_mA")
         write_description(draft_arm(path), tmp_path / f"c{trial}")
-        found = calibrate(tmp_path / f"c{trial}").accelerometers["A"].coefficients
-        z.append([(found[name].value - true) / found[name].u for name, true in TRUE.items()])
+        coefficients = calibrate(tmp_path / f"c{trial}").accelerometers["A"].coefficients
+        z.append(
+            [
+                (coefficients[name].value - true) / coefficients[name].u
+                for name, true in TRUE.items()
+            ]
+        )
     squares = np.sum(np.square(z), axis=0)
     assert (squares > chi2.ppf(1e-4, trials)).all()
     assert (squares < chi2.ppf(1.0 - 1e-4, trials)).all()

@@ -19,8 +19,8 @@ def contents_of(numbers, words=None, units=None):
 
 
 def make_arm_table(numbers, words=None, units=None):
-    found = contents_of(numbers, words, units)
-    return ArmTable.from_contents(found, {})
+    contents = contents_of(numbers, words, units)
+    return ArmTable.from_contents(contents, {})
 
 
 @pytest.mark.parametrize(
@@ -68,20 +68,20 @@ def test_words_are_recognised_as_directions(word, direction):
     ],
 )
 def test_rate_column_and_unit_are_found(name, unit, rate):
-    found = make_arm_table({"out_V": [1.0, 2.0], name: [30.0, 40.0]}, units={name: unit})
-    assert found.rate_column.name == name
-    assert found.rate_unit == rate
+    arm_table = make_arm_table({"out_V": [1.0, 2.0], name: [30.0, 40.0]}, units={name: unit})
+    assert arm_table.rate_column.name == name
+    assert arm_table.rate_unit == rate
 
 
 def test_acceleration_is_rate_only_by_answer():
     numbers = {"accel_g": [1.0, 2.0], "n_rpm": [30.0, 42.0], "out_V": [1.0, 2.0]}
-    found = contents_of(numbers)
-    assert assign_arm_roles(found, {}) == {
+    contents = contents_of(numbers)
+    assert assign_arm_roles(contents, {}) == {
         "accel_g": "reading",
         "n_rpm": "rate",
         "out_V": "reading",
     }
-    assert assign_arm_roles(found, {"rate": "accel_g"})["accel_g"] == "rate"
+    assert assign_arm_roles(contents, {"rate": "accel_g"})["accel_g"] == "rate"
 
 
 def test_measured_rate_and_known_unit_are_preferred():
@@ -92,8 +92,8 @@ def test_measured_rate_and_known_unit_are_preferred():
 
 
 def test_decreasing_time_is_period():
-    found = make_arm_table({"T_s": [0.0, 2.0, 1.5], "out_V": [1.0, 2.0, 3.0]})
-    assert (found.rate_column.name, found.rate_unit) == ("T_s", "s")
+    arm_table = make_arm_table({"T_s": [0.0, 2.0, 1.5], "out_V": [1.0, 2.0, 3.0]})
+    assert (arm_table.rate_column.name, arm_table.rate_unit) == ("T_s", "s")
     assert make_arm_table({"T_s": [0.0, 1.5, 2.0], "out_V": [1.0, 2.0, 3.0]}).rate_column is None
     clock = make_arm_table({"n_rpm": [0.0, 30.0], "t_s": [9.0, 2.0], "out_V": [1.0, 2.0]})
     assert clock.roles["t_s"] == "time"
@@ -116,11 +116,11 @@ def test_mounting_column_is_found_by_words_or_name():
 def test_sense_column_is_found_by_words():
     numbers = {"n_rpm": [0.0, 30.0, 42.0], "out_V": [1.0, 1.0, 2.0]}
     words = {"Direction": ["", "CW", "ccw"], "Position": ["up", "in", "in"]}
-    found = contents_of(numbers, words)
-    assert assign_arm_roles(found, {})["Direction"] == "sense"
-    assert assign_arm_roles(found, {})["Position"] == "position"
-    assert assign_arm_roles(found, {"Direction is": "unused"})["Direction"] == "unused"
-    assert assign_arm_roles(found, {"position": "Direction"})["Direction"] == "position"
+    contents = contents_of(numbers, words)
+    assert assign_arm_roles(contents, {})["Direction"] == "sense"
+    assert assign_arm_roles(contents, {})["Position"] == "position"
+    assert assign_arm_roles(contents, {"Direction is": "unused"})["Direction"] == "unused"
+    assert assign_arm_roles(contents, {"position": "Direction"})["Direction"] == "position"
     words["Direction"][0] = "left"
     assert "sense" not in assign_arm_roles(contents_of(numbers, words), {}).values()
 
@@ -135,17 +135,17 @@ def test_sense_column_is_found_by_words():
     ],
 )
 def test_rate_step_doubles_relative_resolution(name, values, step):
-    found = make_arm_table({name: values, "out_V": [1.0] * len(values)})
-    assert found.rate_step() == pytest.approx(step)
+    arm_table = make_arm_table({name: values, "out_V": [1.0] * len(values)})
+    assert arm_table.rate_step() == pytest.approx(step)
 
 
 def test_rows_are_rotating_or_at_rest():
     numbers = {"n_rpm": [0.0, 30.0, math.nan, -42.0], "out_V": [1.0, 1.2, 0.8, 1.4]}
-    found = make_arm_table(numbers, {"side": ["up", "in", "out", "in"]})
-    assert found.is_resting.tolist() == [True, False, False, False]
-    assert found.rotating_mountings == ("in",)
-    assert found.mountings == ("up", "in", "out")
-    assert found.is_rotating_in("in").tolist() == [False, True, False, True]
+    arm_table = make_arm_table(numbers, {"side": ["up", "in", "out", "in"]})
+    assert arm_table.is_resting.tolist() == [True, False, False, False]
+    assert arm_table.rotating_mountings == ("in",)
+    assert arm_table.mountings == ("up", "in", "out")
+    assert arm_table.is_rotating_in("in").tolist() == [False, True, False, True]
     # A column that ends before the others has nothing in their last rows.
     short = make_arm_table({"n_rpm": [30.0], "out_V": [1.0, 2.0]})
     assert short.rotating_mountings == ("",)
@@ -155,11 +155,11 @@ def test_accelerations_and_slopes_match_circular_motion():
     w = np.array([3.0, 6.0])
     felt = 2.0 * w**2 / 9.80665
     numbers = {"omega_rad_s": [0.0, *w, *w], "out_V": [9.0, *(2.5 + 1.25 * felt), *(2.5 - felt)]}
-    found = make_arm_table(numbers, {"side": ["up", "in", "in", "out", "out"]})
-    slopes, zero = found.fit_lines(found.contents.columns[1], 2.0)
+    arm_table = make_arm_table(numbers, {"side": ["up", "in", "in", "out", "out"]})
+    slopes, zero = arm_table.fit_lines(arm_table.contents.columns[1], 2.0)
     assert slopes == pytest.approx({"in": 1.25, "out": -1.0})
     assert zero == pytest.approx(2.5)
-    assert found.acceleration(2.0) == pytest.approx([0.0, 18.0, 72.0, 18.0, 72.0])
+    assert arm_table.acceleration(2.0) == pytest.approx([0.0, 18.0, 72.0, 18.0, 72.0])
     unknown = make_arm_table({"n": [3.0], "out_V": [1.0]})
     assert math.isnan(unknown.acceleration(2.0)[0])
     assert unknown.fit_lines(unknown.contents.columns[1], 2.0)[0] == {}
@@ -167,6 +167,6 @@ def test_accelerations_and_slopes_match_circular_motion():
 
 def test_radii_are_from_rotating_rows():
     numbers = {"n_rpm": [0.0, 30.0, 30.0, 42.0], "R_mm": [5.0, 1000.0, 900.0, 1000.0]}
-    found = make_arm_table({**numbers, "out_V": [1.0] * 4}, {"side": ["up", "in", "out", "in"]})
-    assert found.radii() == {"in": [1.0], "out": [0.9]}
+    arm_table = make_arm_table({**numbers, "out_V": [1.0] * 4}, {"side": ["up", "in", "out", "in"]})
+    assert arm_table.radii() == {"in": [1.0], "out": [0.9]}
     assert make_arm_table({"n_rpm": [30.0], "out_V": [1.0]}).radii() == {}

@@ -142,7 +142,7 @@ def test_unit_suffix_of_name_is_recognised(name, unit):
 
 
 def test_files_with_different_columns_raise():
-    one = guess_file(seen(t=TIME, angle=RATE * TIME, east_m=signal()))
+    file = guess_file(seen(t=TIME, angle=RATE * TIME, east_m=signal()))
     other = guess_file(seen("b.csv", t=TIME, angle=RATE * TIME, x=signal()))
     with raises("missing-column", "b.csv", "'east_m'", "a.csv"):
-        merge_guesses([one, other])
+        merge_guesses([file, other])

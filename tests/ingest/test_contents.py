@@ -93,6 +93,6 @@ def test_sheets_are_runs_unless_sheet_is_chosen(tmp_path):
     path = write_workbook(tmp_path / "a.xlsx", {"slow": rows, "fast": rows, "empty": []})
     (first,) = read_files([path])
     assert (first.sheet, first.sheets) == ("slow", ("slow", "fast"))
-    assert [one.sheet for one in read_files([path], {"sheet": "fast"})] == ["fast"]
-    assert [one.sheet for one in read_files([path], {"sheet": "all"})] == ["slow", "fast"]
+    assert [file.sheet for file in read_files([path], {"sheet": "fast"})] == ["fast"]
+    assert [file.sheet for file in read_files([path], {"sheet": "all"})] == ["slow", "fast"]
     assert read_files([write_workbook(tmp_path / "b.xlsx", {"one": rows})])[0].sheet is None

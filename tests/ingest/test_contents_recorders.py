@@ -35,9 +35,9 @@ def test_recorder_formats_return_same_campaign(tmp_path, recorded_frame, name):
     write, ending = FILES[name]
     path = tmp_path / f"run{ending}"
     write(recorded_frame, path)
-    found = make_turntable_draft(read_files([path]), KNOWN)
-    assert [question.key for question in found.open_questions] == []
-    write_description(found, tmp_path / "campaign")
+    turntable_draft = make_turntable_draft(read_files([path]), KNOWN)
+    assert [question.key for question in turntable_draft.open_questions] == []
+    write_description(turntable_draft, tmp_path / "campaign")
     campaign = read_campaign(tmp_path / "campaign")
     (run,) = campaign.runs
     assert run.rate == pytest.approx(RATE, rel=1e-6)
@@ -67,7 +67,9 @@ def test_sense_is_found_along_west_and_south(tmp_path, recorded_frame):
         document["records"]["angle"] | {"zero": "north", "sense": "clockwise"}
         == (document["records"]["angle"])
     )
-    assert [one["input_axis"] for one in document["accelerometers"].values()] == ["west", "south"]
+    assert [
+        accelerometer["input_axis"] for accelerometer in document["accelerometers"].values()
+    ] == ["west", "south"]
 
 
 def lines(path, head, rows):

@@ -40,8 +40,8 @@ def test_two_axes_determine_sense_and_zero_of_encoder(tmp_path, rate, sense):
         return {"azimuth": azimuth, **axes(theta)}
 
     files = [write_run(tmp_path / "a b.csv", rate, columns)]
-    found = make_turntable_draft(read_files(files))
-    assert [q.key for q in found.open_questions] == ["gravity", "latitude", "radius"]
+    turntable_draft = make_turntable_draft(read_files(files))
+    assert [q.key for q in turntable_draft.open_questions] == ["gravity", "latitude", "radius"]
     write_description(make_record_draft(files), tmp_path)
     campaign = read_campaign(tmp_path)
     assert campaign.angle.factor == pytest.approx(sense * np.radians(1))
@@ -78,8 +78,8 @@ def test_missing_information_is_asked(tmp_path):
         tmp_path / "a.csv", np.pi, lambda th: {"p": 2.5 * np.cos(th), "enc": 31415 * th}
     )
     keys = [question.key for question in make_turntable_draft(read_files([path])).open_questions]
-    asked = ["gravity", "latitude", "radius", "per_revolution", "sense", "p is", "p unit", "p axis"]
-    assert keys == asked
+    texts = ["gravity", "latitude", "radius", "per_revolution", "sense", "p is", "p unit", "p axis"]
+    assert keys == texts
     with pytest.raises(CampaignError) as caught:
         make_record_draft([path], sense="left", nonsense="1").make_document(tmp_path)
     told = [line.partition(":")[0] for line in caught.value.problems]
@@ -100,10 +100,10 @@ def test_answers_override_guesses(tmp_path):
 
     files = [write_run(tmp_path / "a.csv", np.pi, columns)]
     assert make_turntable_draft(read_files(files)).common_guess.angle.column == "phi"
-    found = make_record_draft(
+    record_draft = make_record_draft(
         files, **{"temp_m is": "unused", "east_m axis": "W", "north_m is": "ignore"}, sense="ccw"
     )
-    document = found.make_document(tmp_path)
+    document = record_draft.make_document(tmp_path)
     assert list(document["accelerometers"]) == ["Qx"]
     assert document["accelerometers"]["Qx"]["input_axis"] == "west"
     assert document["records"]["angle"]["zero"] == "west"
@@ -118,8 +118,8 @@ def test_answered_unit_determines_rate_of_runs(tmp_path):
         frame = {"t_s": TIME, "enc": 1e3 * rate * TIME, "p": 0.0 * TIME}
         pl.DataFrame(frame).write_csv(tmp_path / f"{name}.csv")
         paths.append(tmp_path / f"{name}.csv")
-    asked = {question.key for question in make_turntable_draft(read_files(paths)).open_questions}
-    assert {"angle unit", "rate", "signal"} <= asked
+    keys = {question.key for question in make_turntable_draft(read_files(paths)).open_questions}
+    assert {"angle unit", "rate", "signal"} <= keys
     answers = {"angle unit": "count", "per_revolution": "1000", "sense": "ccw", "signal": "p"}
     more = {"p is": "displacement", "p unit": "m", "p axis": "east"}
     document = make_record_draft(paths, **answers, **more).make_document(tmp_path)
@@ -131,9 +131,9 @@ def test_stated_sampling_rates_are_used(tmp_path):
     pos = np.column_stack([axes(theta)["east_m"], axes(theta)["north_m"]])
     rec = {"phi": theta[:, None], "pos": pos, "fs": 50.0, "rpm": 30.0, "note": "arm"}
     savemat(tmp_path / "a.mat", {"rec": rec})
-    found = make_turntable_draft(read_files([tmp_path / "a.mat"]))
-    assert [signal.column for signal in found.common_guess.signals] == ["pos.1", "pos.2"]
-    assert {"fs", "rpm"} <= set(found.common_guess.unused_columns)
+    turntable_draft = make_turntable_draft(read_files([tmp_path / "a.mat"]))
+    assert [signal.column for signal in turntable_draft.common_guess.signals] == ["pos.1", "pos.2"]
+    assert {"fs", "rpm"} <= set(turntable_draft.common_guess.unused_columns)
     answers = {"angle unit": "rad", "sense": "ccw", "pos.1 unit": "m", "pos.2 unit": "m"}
     more = {"pos.1 axis": "east", "pos.2 axis": "north"}
     document = make_record_draft([tmp_path / "a.mat"], **answers, **more).make_document(tmp_path)
@@ -176,8 +176,8 @@ def test_excluded_angle_is_not_signal(tmp_path):
     def columns(theta):
         return {"angle_deg": np.degrees(theta) % 360, **axes(theta)}
 
-    found = make_record_draft(
+    record_draft = make_record_draft(
         [write_run(tmp_path / "a.csv", np.pi, columns)], angle="none", sense="ccw"
     )
-    assert found.open_questions == []
-    assert found.common_guess.unused_columns == ("angle_deg",)
+    assert record_draft.open_questions == []
+    assert record_draft.common_guess.unused_columns == ("angle_deg",)

@@ -16,7 +16,7 @@ from counterspin.ingest.overview import UndecidedDraft, describe_files, guess_te
 
 def contents_of(columns, units=None, words=None):
     """Return the contents of a file with these columns."""
-    made = tuple(
+    file_columns = tuple(
         FileColumn(name, (units or {}).get(name, ""), np.asarray(values, dtype=float))
         for name, values in columns.items()
     )
@@ -24,7 +24,7 @@ def contents_of(columns, units=None, words=None):
     class Named:
         name = "log.csv"
 
-    return FileContents(Named, made, tuple(words or ()), "", first_text_cells=words or {})
+    return FileContents(Named, file_columns, tuple(words or ()), "", first_text_cells=words or {})
 
 
 def test_overview_shows_range_unit_and_role():
@@ -83,10 +83,10 @@ def test_file_of_unknown_test_is_not_asked_for_radius(tmp_path, capsys):
     rows = "".join(f"{k},{k % 7},{(k * k) % 11}\n" for k in range(200))
     (tmp_path / "log.csv").write_text("a,b,c\n" + rows)
     assert main(["init", str(tmp_path / "c"), "--yes", "--from", str(tmp_path / "log.csv")]) == 2
-    told = capsys.readouterr()
-    assert "Detected in the files:" in told.out
-    assert "What is the test type?" in told.err
-    assert "radius" not in told.out + told.err.replace("radius of a centrifuge", "")
+    output = capsys.readouterr()
+    assert "Detected in the files:" in output.out
+    assert "What is the test type?" in output.err
+    assert "radius" not in output.out + output.err.replace("radius of a centrifuge", "")
 
 
 def test_rate_of_alternating_sensors_counts_all_rows(tmp_path):

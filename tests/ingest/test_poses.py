@@ -44,8 +44,8 @@ def test_log_without_header_and_time_is_understood(tmp_path, values):
     assert found.open_questions == []
     assert found.column_names == ("column 1", "column 2", "column 3")
     assert any(
-        one.startswith("12 poses in imu.log: rest intervals of at least")
-        for one in found.statements
+        statement.startswith("12 poses in imu.log: rest intervals of at least")
+        for statement in found.statements
     )
     document = found.make_document(tmp_path / "camp")
     assert document["records"] == {"time": {"sampling_rate": "100 Hz"}}
@@ -89,9 +89,9 @@ def test_temperature_column_determines_slopes(tmp_path):
     )
     result = calibrate(slopes)
     for name, true in (("X", 0.002 / 9.81), ("Y", 0.0), ("Z", 0.0)):
-        one = result.accelerometers[name].coefficients["K_F.temperature"]
-        assert one.u < 2e-5
-        assert abs(one.value - true) < 4.0 * one.u
+        coefficient = result.accelerometers[name].coefficients["K_F.temperature"]
+        assert coefficient.u < 2e-5
+        assert abs(coefficient.value - true) < 4.0 * coefficient.u
     assert result.inputs.temperatures == pytest.approx([295.15, 273.15 + warm.max()], abs=0.1)
 
 
@@ -107,25 +107,25 @@ def test_temperature_in_counts_is_not_used(tmp_path, values):
 def test_answers_override_guesses(tmp_path, values):
     looks = read_files([write_log(tmp_path, values)])
     more = {"X": "column 3", "Z": "column 1", "grade": "tactical", "rest": "3", "unit": "m/s^2"}
-    found = make_poses_draft(looks, ANSWERS | more)
-    document = found.make_document(tmp_path)
-    assert found.problems == ()
+    poses_draft = make_poses_draft(looks, ANSWERS | more)
+    document = poses_draft.make_document(tmp_path)
+    assert poses_draft.problems == ()
     assert document["accelerometers"]["X"]["specific_force"]["column"] == "column 3"
     assert document["accelerometers"]["X"]["grade"] == "tactical"
     assert document["runs"][0]["poses"] == {"rest": "3 s"}
     with raises("duplicate-entry", "axis"):
         make_poses_draft(looks, ANSWERS | {"X": "column 2"}).make_document(tmp_path)
     # The kind itself, too.
-    asked = [one.key for one in make_draft(looks, {}, "double-turntable").questions]
-    assert "radius" in asked
+    keys = [question.key for question in make_draft(looks, {}, "double-turntable").questions]
+    assert "radius" in keys
 
 
 def test_missing_information_is_asked(tmp_path, values):
-    found = make_poses_draft(read_files([write_log(tmp_path, values)]))
-    asked = [question.key for question in found.open_questions]
-    assert asked == ["gravity", "latitude", "sampling_rate"]
+    poses_draft = make_poses_draft(read_files([write_log(tmp_path, values)]))
+    keys = [question.key for question in poses_draft.open_questions]
+    assert keys == ["gravity", "latitude", "sampling_rate"]
     with raises("missing-answer", "sampling_rate:", "no time column"):
-        found.make_document(tmp_path)
+        poses_draft.make_document(tmp_path)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("g", 1 / 9.81), ("mg", 1000 / 9.81)])
@@ -135,8 +135,10 @@ def test_magnitude_at_rest_determines_unit(tmp_path, values, unit, factor):
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
     looks = read_files([tmp_path / "imu.csv"])
     assert guess_test(looks) == "poses"
-    found = make_poses_draft(looks, {k: v for k, v in ANSWERS.items() if k != "sampling_rate"})
-    document = found.make_document(tmp_path)
+    poses_draft = make_poses_draft(
+        looks, {k: v for k, v in ANSWERS.items() if k != "sampling_rate"}
+    )
+    document = poses_draft.make_document(tmp_path)
     assert document["records"] == {"time": {"column": "t_ms", "unit": "ms"}}
     assert document["accelerometers"]["X"]["specific_force"] == {"column": "a0", "unit": unit}
 
@@ -147,10 +149,10 @@ def test_counts_require_sensitivity(tmp_path, values):
     columns |= {f"m{n}": field[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
     looks = read_files([tmp_path / "imu.csv"])
-    found = make_poses_draft(looks, ANSWERS)
-    assert found.column_names == ("a0", "a1", "a2")
-    assert found.open_questions == []
-    document = found.make_document(tmp_path)
+    poses_draft = make_poses_draft(looks, ANSWERS)
+    assert poses_draft.column_names == ("a0", "a1", "a2")
+    assert poses_draft.open_questions == []
+    document = poses_draft.make_document(tmp_path)
     output = document["accelerometers"]["Z"]["output"]
     assert output["unit"] == "count"
     assert float(output["sensitivity"].split()[0]) == pytest.approx(1670.0 * 9.81, rel=0.02)
@@ -201,8 +203,8 @@ def test_row_numbers_are_not_time(tmp_path, values):
     pl.DataFrame(columns).write_csv(tmp_path / "session.csv")
     looks = read_files([tmp_path / "session.csv"])
     assert guess_test(looks) == "poses"
-    asked = [question.key for question in make_poses_draft(looks).open_questions]
-    assert asked == ["gravity", "latitude", "sampling_rate"]
+    keys = [question.key for question in make_poses_draft(looks).open_questions]
+    assert keys == ["gravity", "latitude", "sampling_rate"]
     document = make_poses_draft(looks, ANSWERS).make_document(tmp_path / "camp")
     assert document["records"] == {"time": {"sampling_rate": "100 Hz"}}
 
@@ -220,7 +222,10 @@ def test_separate_files_are_poses(tmp_path):
     looks = read_files(files)
     assert guess_test(looks) == "poses"
     found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
-    assert any(one.startswith("16 poses in 16 files: rest intervals") for one in found.statements)
+    assert any(
+        statement.startswith("16 poses in 16 files: rest intervals")
+        for statement in found.statements
+    )
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     assert len(result.triad.poses) == 16
     for name, bias in zip("XYZ", BIAS, strict=True):
@@ -257,12 +262,12 @@ def test_single_supply_voltage_has_zero(tmp_path, values):
     time = np.arange(len(values)) * 10.0
     columns = {"t_ms": time} | {f"U{n}": 1.65 + 0.0337 * values[:, n] for n in range(3)}
     pl.DataFrame(columns).write_csv(tmp_path / "imu.csv")
-    told = {k: v for k, v in ANSWERS.items() if k != "sampling_rate"} | {"unit": "V"}
-    found = make_poses_draft(read_files([tmp_path / "imu.csv"]), told)
-    asked = {question.key: question.guess for question in found.questions}
-    assert float(asked["Y zero"].split()[0]) == pytest.approx(1.65, abs=0.02)
+    vs = {k: v for k, v in ANSWERS.items() if k != "sampling_rate"} | {"unit": "V"}
+    poses_draft = make_poses_draft(read_files([tmp_path / "imu.csv"]), vs)
+    guess = {question.key: question.guess for question in poses_draft.questions}
+    assert float(guess["Y zero"].split()[0]) == pytest.approx(1.65, abs=0.02)
     document = make_poses_draft(
-        read_files([tmp_path / "imu.csv"]), told | {"Y zero": "1.5 V"}
+        read_files([tmp_path / "imu.csv"]), vs | {"Y zero": "1.5 V"}
     ).make_document(tmp_path)
     assert document["accelerometers"]["Y"]["output"]["zero"] == "1.5 V"
 
@@ -329,7 +334,9 @@ NAMES_OF_LAYOUTS = [name for name, *_ in layouts(np.zeros(1), np.zeros((1, 3)))]
 def test_logger_layouts_are_understood(tmp_path, name):
     truth = simulate_poses(2.6, 0.8, 12)
     values = truth.values + BIAS
-    _, head, rows, axes = next(one for one in layouts(truth.time, values) if one[0] == name)
+    _, head, rows, axes = next(
+        actual_layout for actual_layout in layouts(truth.time, values) if actual_layout[0] == name
+    )
     (tmp_path / "log.csv").write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
     looks = read_files([tmp_path / "log.csv"])
     assert guess_test(looks) == "poses"
@@ -347,7 +354,9 @@ def write_rows(folder, time, values, head="t,ax,ay,az"):
 
 def test_packet_counter_is_not_time(tmp_path, values):
     looks = write_rows(tmp_path, 12000 + np.arange(len(values)), values, "PacketCounter,x,y,z")
-    assert [one.key for one in make_poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
+    assert [
+        open_question.key for open_question in make_poses_draft(looks, PLACE).open_questions
+    ] == ["sampling_rate"]
 
 
 def test_unnamed_time_after_row_counter_is_found(tmp_path, values):
@@ -364,8 +373,8 @@ def test_one_second_rests_are_found(tmp_path):
     truth = simulate_poses(1.0, 0.6, 20)
     found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
     assert any(
-        one.startswith("20 poses in log.csv: rest intervals of at least 0.5 s")
-        for one in found.statements
+        statement.startswith("20 poses in log.csv: rest intervals of at least 0.5 s")
+        for statement in found.statements
     )
     assert found.make_document(tmp_path)["runs"][0]["poses"] == {"rest": "0.5 s"}
 
@@ -420,7 +429,9 @@ def test_stepwise_clock_is_not_time(tmp_path, values):
     time = np.floor(np.arange(len(values)) / 5.0) / 20.0
     looks = write_rows(tmp_path, time, values)
     assert guess_test(looks) == "poses"
-    assert [one.key for one in make_poses_draft(looks, PLACE).open_questions] == ["sampling_rate"]
+    assert [
+        open_question.key for open_question in make_poses_draft(looks, PLACE).open_questions
+    ] == ["sampling_rate"]
 
 
 def test_filtered_gravity_is_not_sensor(tmp_path, values):
@@ -497,22 +508,24 @@ def test_six_faces_require_stated_uncertainty(tmp_path, in_table):
     if in_table:
         means = [values[500 * place :][:400].mean(axis=0) for place in range(6)]
         looks = write_rows(tmp_path, np.arange(1, 7), means, "pose,x,y,z")
-    (asked,) = make_draft(looks, PLACE, "poses").open_questions
-    assert asked.key == "u"
-    assert "cannot be estimated from only 6 poses" in asked.text
+    (open_question,) = make_draft(looks, PLACE, "poses").open_questions
+    assert open_question.key == "u"
+    assert "cannot be estimated from only 6 poses" in open_question.text
     found = make_draft(looks, PLACE | {"u": "0.003 m/s^2", "grade": "consumer"}, "poses")
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
-        one = result.accelerometers[name].coefficients["K_F"]
-        assert abs(one.value - bias / 9.81) < 4.0 * one.u
+        k_f = result.accelerometers[name].coefficients["K_F"]
+        assert abs(k_f.value - bias / 9.81) < 4.0 * k_f.u
 
 
 def test_unit_of_unnamed_volts_is_asked(tmp_path, values):
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), 1.65 + values / 9.81 / 3.0)
     assert guess_test(looks) == "poses"
-    assert [one.key for one in make_poses_draft(looks, PLACE).open_questions] == ["unit"]
-    told = make_poses_draft(looks, PLACE | {"unit": "V"}).make_document(tmp_path)
-    size, unit = told["accelerometers"]["X"]["output"]["sensitivity"].split(" ")
+    assert [
+        open_question.key for open_question in make_poses_draft(looks, PLACE).open_questions
+    ] == ["unit"]
+    document = make_poses_draft(looks, PLACE | {"unit": "V"}).make_document(tmp_path)
+    size, unit = document["accelerometers"]["X"]["output"]["sensitivity"].split(" ")
     assert (float(size), unit) == (pytest.approx(1.0 / 3.0, rel=0.01), "V/g")
 
 
@@ -551,11 +564,11 @@ def test_nine_poses_have_model_of_bias_and_scale_factor(tmp_path, count):
     assert found.make_document(tmp_path).get("model") == (
         {"terms": ["K_F", "K_I"]} if few else None
     )
-    assert any("nine poses or fewer" in one for one in found.statements) is few
+    assert any("nine poses or fewer" in statement for statement in found.statements) is few
     result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
-        one = result.accelerometers[name].coefficients["K_F"]
-        assert abs(one.value - bias / 9.81) < 4.0 * one.u
+        k_f = result.accelerometers[name].coefficients["K_F"]
+        assert abs(k_f.value - bias / 9.81) < 4.0 * k_f.u
 
 
 def test_stated_uncertainty_of_poses_is_used(tmp_path):

@@ -19,8 +19,8 @@ DIRECTIONS = {"east": 0.0, "north": np.pi / 2, "west": np.pi, "south": -np.pi / 
 def draft_and_questions(path, **answers):
     """Return the draft and the keys of the open questions."""
     said = PLACE | {key.replace("_", " "): answer for key, answer in answers.items()}
-    found = make_turntable_draft(read_files([path]), said)
-    return found, [question.key for question in found.open_questions]
+    turntable_draft = make_turntable_draft(read_files([path]), said)
+    return turntable_draft, [question.key for question in turntable_draft.open_questions]
 
 
 def write_circle(path, first, second, *, sense=1.0, sizes=(2.5, 2.5), forward=1.0):
@@ -39,14 +39,14 @@ def write_circle(path, first, second, *, sense=1.0, sizes=(2.5, 2.5), forward=1.
 def test_radius_determines_unit_of_displacement(tmp_path, unit, factor):
     path = write_circle(tmp_path / "run.csv", "east", "north", sizes=(2.5 * factor, 2.51 * factor))
     told = {"a is": "displacement", "b is": "displacement"}
-    found, needed = draft_and_questions(path, **told)
+    and_questions, needed = draft_and_questions(path, **told)
     assert {"a unit", "b unit"} <= set(needed)
-    found, needed = draft_and_questions(path, radius="2.5 m", **told)
+    and_questions, needed = draft_and_questions(path, radius="2.5 m", **told)
     assert {"a unit", "b unit"}.isdisjoint(needed)
-    assert [signal.unit for signal in found.common_guess.signals] == [unit, unit]
+    assert [signal.unit for signal in and_questions.common_guess.signals] == [unit, unit]
     assert (
         f"column 'a': displacement in {unit} (determined from the radius), axis not detected"
-        in (found.statements)
+        in (and_questions.statements)
     )
 
 
@@ -61,8 +61,8 @@ def test_radius_determines_unit_of_displacement(tmp_path, unit, factor):
 )
 def test_radius_and_rate_determine_unit_of_velocity_or_force(tmp_path, what, size, unit):
     path = write_circle(tmp_path / "run.csv", "east", "north", sizes=(size, size))
-    found, _ = draft_and_questions(path, radius="2.5 m", **{"a is": what, "b is": what})
-    assert [signal.unit for signal in found.common_guess.signals] == [unit, unit]
+    and_questions, _ = draft_and_questions(path, radius="2.5 m", **{"a is": what, "b is": what})
+    assert [signal.unit for signal in and_questions.common_guess.signals] == [unit, unit]
 
 
 def test_unit_of_implausible_amplitude_is_asked(tmp_path):
@@ -81,21 +81,21 @@ def test_sense_and_one_axis_determine_other_axis(tmp_path, first, second, sense,
     path = write_circle(tmp_path / "run.csv", first, second, sense=sense, forward=forward)
     told = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
     word = {1.0: "counterclockwise", -1.0: "clockwise"}[sense]
-    found, needed = draft_and_questions(path, **told, sense=word)
+    and_questions, needed = draft_and_questions(path, **told, sense=word)
     assert needed == ["a axis", "b axis"]
-    found, needed = draft_and_questions(path, **told, sense=word, **{"a axis": first})
+    and_questions, needed = draft_and_questions(path, **told, sense=word, **{"a axis": first})
     assert needed == []
-    assert [signal.axis for signal in found.common_guess.signals] == [first, second]
+    assert [signal.axis for signal in and_questions.common_guess.signals] == [first, second]
 
 
 def test_sense_contradicting_waves_is_reported(tmp_path):
     path = write_circle(tmp_path / "run.csv", "east", "north")
     told = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
     axes = {"a axis": "east", "b axis": "north"}
-    found, _ = draft_and_questions(path, **told, **axes, sense="clockwise")
-    (problem,) = found.problems
+    and_questions, _ = draft_and_questions(path, **told, **axes, sense="clockwise")
+    (problem,) = and_questions.problems
     assert problem.startswith(
         "sense: the periodic signals of two axes show that the angle increases counterclock"
     )
-    found, _ = draft_and_questions(path, **told, **axes, sense="counterclockwise")
-    assert found.problems == ()
+    and_questions, _ = draft_and_questions(path, **told, **axes, sense="counterclockwise")
+    assert and_questions.problems == ()

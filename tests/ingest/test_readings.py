@@ -116,13 +116,13 @@ def test_voltage_named_u_is_reading_if_no_other_is():
 
 def test_columns_are_asked_with_possible_roles():
     roles = {"No": "name", "note": "unused", "a": "position", "b": "reading", "c": "time"}
-    asked = {
+    questions = {
         question.key: question for question in make_column_questions(LOOK, roles, ["position"])
     }
-    assert list(asked) == ["No is", "note is", "b is", "c is"]
-    assert asked["No is"].choices == ("name", "unused")
-    assert asked["b is"].choices[:2] == ("position", "reading")
-    assert asked["b is"].parse_answer("position") == "position"
+    assert list(questions) == ["No is", "note is", "b is", "c is"]
+    assert questions["No is"].choices == ("name", "unused")
+    assert questions["b is"].choices[:2] == ("position", "reading")
+    assert questions["b is"].parse_answer("position") == "position"
     needed = make_role_question(
         "position", "Which?", ["b", "c"], {"b": "reading"}, is_required=True
     )

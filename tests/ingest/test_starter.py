@@ -23,8 +23,8 @@ def test_unchanged_starter_is_simulated_and_calibrated(tmp_path):
     assert path == tmp_path / "new" / "campaign" / "campaign.toml"
     campaign = read_campaign(path)
     simulate(campaign, tmp_path / "made")
-    found = calibrate(tmp_path / "made", method="two-stage").accelerometers["Qx"]
-    c, truth = found.coefficients, campaign.simulation.truth.coefficients["Qx"]
+    qx = calibrate(tmp_path / "made", method="two-stage").accelerometers["Qx"]
+    c, truth = qx.coefficients, campaign.simulation.truth.coefficients["Qx"]
     for symbol in ("K_II", "K_F"):
         assert abs(c[symbol].value - truth[symbol]) < 4 * c[symbol].u
 
@@ -48,25 +48,25 @@ SAID = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("test", [one for one in get_args(Test) if one != "poses"])
+@pytest.mark.parametrize("test", [arg for arg in get_args(Test) if arg != "poses"])
 def test_examples_run_from_init_to_certificate(tmp_path, test, capsys):
     """From init to the certificate; the study runs small, its coverage within what it allows."""
-    own, made = tmp_path / "own", tmp_path / "made"
+    own, folder = tmp_path / "own", tmp_path / "made"
     assert main(["init", str(own), "--test", test]) == 0
-    assert main(["simulate", str(own), "-o", str(made)]) == 0
+    assert main(["simulate", str(own), "-o", str(folder)]) == 0
     saved, page, certificate = (tmp_path / name for name in ("r.json", "r.html", "c.xml"))
-    assert main(["calibrate", str(made), "--json", str(saved)]) == 0
+    assert main(["calibrate", str(folder), "--json", str(saved)]) == 0
     truth = read_campaign(own).simulation.truth
     result = cs.read_result(saved)
-    ((name, found),) = result.accelerometers.items()
+    ((name, accelerometer),) = result.accelerometers.items()
     checked = {
         symbol: truth.coefficients[name].get(symbol, TERMS[symbol].nominal)
-        for symbol in found.coefficients
+        for symbol in accelerometer.coefficients
         if symbol in TERMS
     }
     assert {"K_F", "K_I", "K_II"} <= set(checked)
     for symbol, value in checked.items():
-        c = found.coefficients[symbol]
+        c = accelerometer.coefficients[symbol]
         # Beside unstated K_IP, tilt and drift, the records add nothing to what was known of these.
         assert c.estimated or symbol in ("K_F", "K_I")
         assert abs(c.value - value) < 4.0 * c.u
@@ -79,7 +79,7 @@ def test_examples_run_from_init_to_certificate(tmp_path, test, capsys):
     assert ("double-turntable" in written) == of_records
     assert ("In the unit of the readings" in written) == (not of_records)
     assert ("(IEEE Std 836)" in page.read_text("utf-8")) == (test == "arm")
-    if found.readings:
+    if accelerometer.readings:
         trials = 8
         coefficients = study(own, trials=trials).analyses["joint"].coefficients
         low, _ = stats.binom.interval(1.0 - 1e-5, trials, 0.95)
@@ -117,8 +117,8 @@ def test_folder_that_cannot_be_created_raises(tmp_path):
 
 def test_command_line_prints_next_step(tmp_path, capsys):
     assert main(["init", str(tmp_path / "new")]) == 0
-    told = capsys.readouterr().out
-    assert f"counterspin simulate {tmp_path / 'new' / 'campaign.toml'} -o" in told
-    assert "counterspin calibrate" in told
+    out = capsys.readouterr().out
+    assert f"counterspin simulate {tmp_path / 'new' / 'campaign.toml'} -o" in out
+    assert "counterspin calibrate" in out
     assert main(["init", str(tmp_path / "new")]) == 1
     assert capsys.readouterr().err.startswith("counterspin: ")

@@ -33,5 +33,5 @@ def test_consecutive_columns_without_axis_letters_are_triad():
 
 
 def test_filtered_gravity_is_ranked_after_sensor():
-    names = [f"{what} {axis}" for what in ("GRAVITY", "ACCELEROMETER") for axis in "XYZ"]
+    names = [f"{text} {axis}" for text in ("GRAVITY", "ACCELEROMETER") for axis in "XYZ"]
     assert [three[0] for three in find_names(*names)] == ["ACCELEROMETER X", "GRAVITY X"]

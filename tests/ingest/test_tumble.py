@@ -34,12 +34,12 @@ def write_table(path, rows, head=("Name", "Winkel", "Signal", "u"), units=("", "
 )
 def test_readings_determine_axis_at_zero(tmp_path, start, axis):
     path = write_table(tmp_path / "t.csv", make_rows(start))
-    found = make_tumble_draft(read_files([path]), ANSWERS | {"Signal sensitivity": "1,25"})
-    assert found.open_questions == []
-    document = found.make_document(tmp_path / "camp")
+    tumble_draft = make_tumble_draft(read_files([path]), ANSWERS | {"Signal sensitivity": "1,25"})
+    assert tumble_draft.open_questions == []
+    document = tumble_draft.make_document(tmp_path / "camp")
     assert document["accelerometers"]["A"]["input_axis"] == axis
     assert document["readings"]["file"] == "../t.csv"
-    write_description(found, tmp_path / "camp")
+    write_description(tumble_draft, tmp_path / "camp")
     values = calibrate(tmp_path / "camp").accelerometers["A"].coefficients
     # The Earth's rate is not in these numbers, nor is anything but bias and scale factor.
     assert values["K_F"].value == pytest.approx(0.002, abs=1e-6)
@@ -100,14 +100,14 @@ def test_workbook_with_title_and_units_is_understood(tmp_path):
     rows.insert(1, ["Name", "Position", "Output 1", "Output 2"])
     path = write_workbook(tmp_path / "t.xlsx", {"Notes": [["hello"]], "Readings": rows})
     more = {"Output 1 sensitivity": "1.25 V/g", "Output 2 is": "uncertainty"}
-    found = make_tumble_draft(read_files([path]), ANSWERS | more)
-    assert found.roles == {
+    tumble_draft = make_tumble_draft(read_files([path]), ANSWERS | more)
+    assert tumble_draft.roles == {
         "Name": "name",
         "Position": "position",
         "Output 1": "reading",
         "Output 2": "uncertainty",
     }
-    write_description(found, tmp_path)
+    write_description(tumble_draft, tmp_path)
     assert calibrate(tmp_path).accelerometers["A"].coefficients["K_I"].estimated
 
 
@@ -115,8 +115,8 @@ def test_missing_information_is_asked(tmp_path):
     rows = [row[1:3] for row in make_rows()]
     path = write_table(tmp_path / "t.csv", rows, ("a", "b"), ("", ""))
     found = make_draft(read_files([path]), {}, "tumble")
-    asked = [question.key for question in found.open_questions]
-    assert asked == ["gravity", "latitude", "position", "axis at 0", "a unit", "b unit"]
+    keys = [question.key for question in found.open_questions]
+    assert keys == ["gravity", "latitude", "position", "axis at 0", "a unit", "b unit"]
     answers = ANSWERS | {"position": "a", "b unit": "mA"}
     found = make_draft(read_files([path]), answers, "tumble")
     (last,) = found.open_questions

@@ -36,9 +36,9 @@ def folder(tmp_path_factory):
             )
     t = np.arange(0.0, 20.0, 0.02)
     records["up"] = {"t": t, "f": 1.0026 + rng.normal(0.0, 1e-5, t.size)}
-    made = cs.make_campaign(tomllib.loads(text + AT_REST), records)
+    campaign = cs.make_campaign(tomllib.loads(text + AT_REST), records)
     where = tmp_path_factory.mktemp("arm") / "campaign"
-    made.write(where)
+    campaign.write(where)
     return where
 
 
@@ -71,11 +71,11 @@ def test_wrong_rate_has_same_remark_as_double_turntable(folder):
     checked = cs.check(folder / "in 4.csv", folder)
     assert not checked.good
     rate = math.sqrt(4.0 * GRAVITY / RADIUS)
-    said = (
+    text = (
         f"The spindle turned at {checked.run.rate:.6f} rad/s instead of the nominal "
         f"{rate:.6f} rad/s"
     )
-    assert any(remark.startswith(said) for remark in checked.remarks)
+    assert any(remark.startswith(text) for remark in checked.remarks)
 
 
 def test_record_at_rest_has_mean_and_no_rate(folder):
@@ -97,5 +97,5 @@ def test_other_file_and_frame_match_and_fault_fails_check(folder, tmp_path, caps
     assert "The angle changes in the opposite sense" in capsys.readouterr().out
     assert main(["check", str(folder / "in 9.csv"), "--campaign", str(folder)]) == 0
     output = capsys.readouterr().out
-    for said in ("The run is usable", "Rate", "Ripple", "Mean of A", "over 29 revolutions"):
-        assert said in output
+    for text in ("The run is usable", "Rate", "Ripple", "Mean of A", "over 29 revolutions"):
+        assert text in output

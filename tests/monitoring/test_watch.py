@@ -43,9 +43,9 @@ def test_states_follow_records_until_calibration(folder):
     assert u == sorted(u, reverse=True)
     assert [state.complete for state in seen] == [False] * len(parts) + [True]
     result = cs.calibrate(folder)
-    found, k_ii = seen[-1].coefficients[0], result.coefficient("Qx.K_II")
-    assert abs(found.value - k_ii.value) < 1e-9 * k_ii.u
-    assert abs(found.u - k_ii.u) < 1e-9 * k_ii.u
+    coefficient, k_ii = seen[-1].coefficients[0], result.coefficient("Qx.K_II")
+    assert abs(coefficient.value - k_ii.value) < 1e-9 * k_ii.u
+    assert abs(coefficient.u - k_ii.u) < 1e-9 * k_ii.u
     for run in seen[-1].runs:
         assert run.rate == result.runs[run.run].rate
         assert run.rows == result.runs[run.run].counts["rows"]

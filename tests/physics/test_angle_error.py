@@ -101,8 +101,10 @@ def test_motion_derivatives_match_central_differences(order):
     site = Site(9.8, 0.8)
 
     def motion(turned):
-        one = Trajectory(turned, 1.0, site)
-        return {0: one.acceleration, 1: one.velocity, 2: one.position}[order](TIMES)[:, :2]
+        trajectory = Trajectory(turned, 1.0, site)
+        return {0: trajectory.acceleration, 1: trajectory.velocity, 2: trajectory.position}[order](
+            TIMES
+        )[:, :2]
 
     def rippled(n, quadrature, step):
         # +(step / n w0) cos, or sin, of n w0 t; the model's own ripple vanishes at t = 0.

@@ -262,12 +262,12 @@ def test_two_accelerometers_need_known_vertical_force():
 
 
 def test_overdetermined_forces_raise():
-    one = make_instrument(QX, {"K_IP": 1e-5})
+    instrument = make_instrument(QX, {"K_IP": 1e-5})
     down, up = (KnownForce(np.array([0.0, 0.0, s]), s) for s in (-1.0, 1.0))
     with pytest.raises(ValueError, match="overdetermined"):
-        correct([one], np.ones((1, 1)), [down, up])
+        correct([instrument], np.ones((1, 1)), [down, up])
     with pytest.raises(ValueError, match="overdetermined"):
-        correct([one, make_instrument(QX, {})], np.ones((1, 2)))
+        correct([instrument, make_instrument(QX, {})], np.ones((1, 2)))
 
 
 def test_zero_term_needs_axis_only_if_uncertain():
@@ -314,8 +314,10 @@ def test_uncertainty_of_one_accelerometer_matches_quadratic_form():
 
 def test_uncertainty_of_known_force_is_propagated():
     """K_PP a_P^2 with a_P = -1 g +- u: da_I = 2 K_PP u."""
-    one = make_instrument(PLAIN, {"K_PP": 1e-4, "K_I": 1.0})
-    got = correct([one], np.ones((1, 1)), [KnownForce(np.array([0.0, 1.0, 0.0]), -1.0, 1e-3)])
+    instrument = make_instrument(PLAIN, {"K_PP": 1e-4, "K_I": 1.0})
+    got = correct(
+        [instrument], np.ones((1, 1)), [KnownForce(np.array([0.0, 1.0, 0.0]), -1.0, 1e-3)]
+    )
     assert got.force[0, 0] == pytest.approx(1.0 - 1e-4, abs=1e-15)
     assert got.u[0, 0] == pytest.approx(2e-7, rel=1e-12)
 
@@ -332,17 +334,25 @@ def test_uncertainty_of_coupled_accelerometers_matches_differences():
     for k, (name, mounting) in enumerate(zip("xyz", (QX, QY, QZ), strict=True)):
         values = {s: row.nominal + 0.2 * size(s) * rng.normal() for s, row in TERMS.items()}
         instruments.append(CalibratedAccelerometer(name, mounting, values, joint[k, :, k]))
-    y = np.stack([indicated(one.mounting, one.coefficients, vector) for one in instruments], 1)
+    y = np.stack(
+        [
+            indicated(instrument.mounting, instrument.coefficients, vector)
+            for instrument in instruments
+        ],
+        1,
+    )
     step, errors = 0.1, root.reshape(3, count, 3)
     sensitivities = np.empty((3, 3, 3))  # of an accelerometer, to a cause, along an axis
-    for k, one in enumerate(instruments):
+    for k, new_instrument in enumerate(instruments):
         for cause in range(3):
             shifted = []
             for sign in (step, -step):
-                changed = np.array([*one.coefficients.values()]) + sign * errors[k, :, cause]
-                moved = dict(zip(one.coefficients, changed, strict=True))
+                changed = (
+                    np.array([*new_instrument.coefficients.values()]) + sign * errors[k, :, cause]
+                )
+                moved = dict(zip(new_instrument.coefficients, changed, strict=True))
                 others = [*instruments]
-                others[k] = make_instrument(one.mounting, moved)
+                others[k] = make_instrument(new_instrument.mounting, moved)
                 shifted.append(correct(others, y).force[0])
             sensitivities[k, cause] = (shifted[0] - shifted[1]) / (2.0 * step)
     alone = np.sum(sensitivities**2, axis=(0, 1))
@@ -370,5 +380,5 @@ def test_uncertainty_matches_scatter_of_trials():
     drawn = rng.multivariate_normal(list(values.values()), root @ root.T, size=trials)
     per_sample = dict(zip(values, np.repeat(drawn, len(force), axis=0).T, strict=True))
     samples = (np.tile(column, trials) for column in (y, *force[:, 1:].T))
-    found = invert(per_sample, *samples).reshape(trials, len(force))
-    np.testing.assert_allclose(np.std(found, axis=0), claimed, rtol=5.0 / math.sqrt(2.0 * trials))
+    reshape = invert(per_sample, *samples).reshape(trials, len(force))
+    np.testing.assert_allclose(np.std(reshape, axis=0), claimed, rtol=5.0 / math.sqrt(2.0 * trials))

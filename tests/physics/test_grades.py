@@ -60,8 +60,8 @@ def test_source_quotes_slopes_of_huygens_servo_accelerometer():
     def slope_of_offset(kelvin):
         return 3.83652e-6 - 2.0 * 0.00761e-6 * kelvin
 
-    told = SIZES["K_I.temperature"]["navigation"].source
-    assert f"{1e6 * slope_of_scale(293.0):.0f} ppm/K" in told
-    told = SIZES["K_F.temperature"]["navigation"].source
+    source = SIZES["K_I.temperature"]["navigation"].source
+    assert f"{1e6 * slope_of_scale(293.0):.0f} ppm/K" in source
+    source = SIZES["K_F.temperature"]["navigation"].source
     for kelvin in (293.0, 100.0):
-        assert f"{1e6 * abs(slope_of_offset(kelvin)):.1f} µg/K at {kelvin:.0f} K" in told
+        assert f"{1e6 * abs(slope_of_offset(kelvin)):.1f} µg/K at {kelvin:.0f} K" in source

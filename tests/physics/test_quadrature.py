@@ -105,9 +105,9 @@ def test_breaks_become_unique_edges():
 
 
 def test_sign_changes_are_exact_to_rounding():
-    found = sign_changes(lambda t: np.sin(3 * t + 0.5), np.linspace(0.0, 20.0, 30))
+    changes = sign_changes(lambda t: np.sin(3 * t + 0.5), np.linspace(0.0, 20.0, 30))
     expected = (np.arange(1, 20) * math.pi - 0.5) / 3
-    np.testing.assert_allclose(found, expected, rtol=4e-16, atol=4e-16)
+    np.testing.assert_allclose(changes, expected, rtol=4e-16, atol=4e-16)
 
 
 def test_function_without_sign_change_has_no_breaks():

@@ -159,19 +159,19 @@ def test_record_matches_differential_equation(mounting, attitude, rate, start_an
             spindle, mounting, coefficients, PLATFORM, times, attitude
         )
         for observable, values in expected.items():
-            found = simulate_record(
+            record = simulate_record(
                 motion, mounting, coefficients, PLATFORM, times, observable, attitude=attitude
             )
-            np.testing.assert_allclose(found, values, rtol=0.0, atol=tolerance)
+            np.testing.assert_allclose(record, values, rtol=0.0, atol=tolerance)
 
 
 def test_perfect_system_records_reference():
     motion = Trajectory(Spindle(2.0, 1e-4, RIPPLES, 0.3), RADIUS, SITE)
     times = np.linspace(0.0, 30.0, 301)
     for observable in ("displacement", "velocity", "specific_force"):
-        found = simulate_record(motion, QX, {}, {}, times, observable)
+        record = simulate_record(motion, QX, {}, {}, times, observable)
         np.testing.assert_allclose(
-            found, reference(motion, QX, times, observable), rtol=0.0, atol=1e-13
+            record, reference(motion, QX, times, observable), rtol=0.0, atol=1e-13
         )
 
 

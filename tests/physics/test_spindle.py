@@ -43,15 +43,15 @@ def test_effective_rate_is_rms_and_u_covers_scatter(spindle):
     exact = math.copysign(math.sqrt(squares), spindle.rate)
     whole = fit_spindle(t, record_angle(spindle, 0.0, 0, t), spindle.rate, harmonics=3)
     assert whole.rate_at(t)[0] == pytest.approx(exact, rel=1e-8)
-    found = [
+    rates = [
         fit_spindle(t, record_angle(spindle, 1e-3, seed, t), spindle.rate, harmonics=3).rate_at(t)
         for seed in range(200)
     ]
-    z = np.array([(rate - exact) / u for rate, u in found])
+    z = np.array([(rate - exact) / u for rate, u in rates])
     assert abs(np.mean(z**2) - 1.0) < 3.0 * math.sqrt(2.0 / len(z))
     # Of a mean rate, the slope of a line through white noise.
     line = 1e-3 * math.sqrt(12.0 / t.size) / (t[-1] - t[0])
-    assert found[0][1] == pytest.approx(line, rel=0.15)
+    assert rates[0][1] == pytest.approx(line, rel=0.15)
 
 
 @BOTH
@@ -163,9 +163,9 @@ def test_fit_without_noise_returns_true_spindle(spindle, wrapped):
     assert math.remainder(start, 2 * math.pi) == pytest.approx(0.0, abs=1e-12)
     by_harmonic = {r.harmonic: r for r in fit.spindle.ripples}
     for true in spindle.ripples:
-        found = by_harmonic.pop(true.harmonic)
-        assert found.amplitude == pytest.approx(true.amplitude, rel=1e-9)
-        assert math.remainder(found.phase - true.phase, 2 * math.pi) == pytest.approx(0, abs=1e-9)
+        pop = by_harmonic.pop(true.harmonic)
+        assert pop.amplitude == pytest.approx(true.amplitude, rel=1e-9)
+        assert math.remainder(pop.phase - true.phase, 2 * math.pi) == pytest.approx(0, abs=1e-9)
     assert all(absent.amplitude < 1e-12 for absent in by_harmonic.values())
 
 
@@ -181,10 +181,10 @@ def simulate_z_scores(spindle, trials, noise=1e-4, weights=None):
             (fit.spindle.drift - spindle.drift) / fit.u_drift,
         ]
         for true in spindle.ripples:
-            found = fit.spindle.ripples[true.harmonic - 1]
+            ripple = fit.spindle.ripples[true.harmonic - 1]
             u_amplitude, u_phase = fit.u_ripples[true.harmonic - 1]
-            turn = math.remainder(found.phase - true.phase, 2 * math.pi)
-            row += [(found.amplitude - true.amplitude) / u_amplitude, turn / u_phase]
+            turn = math.remainder(ripple.phase - true.phase, 2 * math.pi)
+            row += [(ripple.amplitude - true.amplitude) / u_amplitude, turn / u_phase]
         rows.append(row)
     return np.array(rows)
 
@@ -223,10 +223,10 @@ def test_block_means_recover_spindle_of_samples(spindle, samples):
     spread = np.std(blocks, axis=1)
     given = (blocks.mean(axis=1), angles.mean(axis=1), spindle.rate)
     blind = fit_spindle(*given).spindle
-    found = fit_spindle(*given, spread=spread).spindle
+    actual_spindle = fit_spindle(*given, spread=spread).spindle
     phases = np.angle(np.exp(1j * spindle.rate * spread[0] * np.arange(1, 4)))
     for ripple, without, with_spread in zip(
-        spindle.ripples, blind.ripples, found.ripples, strict=True
+        spindle.ripples, blind.ripples, actual_spindle.ripples, strict=True
     ):
         # The two-point rule is exact for two samples; for more it leaves (n w0 s)^4 (1/24 - 3/40).
         left = phases[ripple.harmonic - 1] ** 4 / 24 if samples > 2 else 0.0
@@ -292,13 +292,13 @@ def test_unwrapped_angle_may_have_gaps():
 def test_false_harmonics_in_noise_are_rare():
     trials = 200
     plain = Spindle(2.0 * math.pi, 1e-6, start_angle=0.2)
-    found = [
+    ripples = [
         fit_spindle(TIMES, record_angle(plain, 1e-4, seed=[17, k]), plain.rate).spindle.ripples
         for k in range(trials)
     ]
     # The criterion keeps each of eight harmonics with probability 1/(8 x 501): 2e-3 a trial, so
     # that more than four in 200 would be one case in 10000.
-    assert sum(map(bool, found)) <= 4
+    assert sum(map(bool, ripples)) <= 4
 
 
 def test_harmonics_are_limited_by_sampling():

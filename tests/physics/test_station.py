@@ -289,9 +289,9 @@ def test_means_of_kinked_products_are_exact(start):
     size = 2.0 * (mean * (crossing - math.pi / 2.0) + wave * math.sin(crossing)) / math.pi
     # The sign grows linearly over +-1 mg, and has the mean of a jump in the middle of it.
     sign = 2.0 * crossing / math.pi - 1.0
-    found = station_means(station, site, ["K_I_asym", "K_0_asym"])
-    assert found[0] == pytest.approx(0.5 * size, rel=1e-12)
-    assert found[1] == pytest.approx(0.5 * sign, abs=1e-9)
+    means = station_means(station, site, ["K_I_asym", "K_0_asym"])
+    assert means[0] == pytest.approx(0.5 * size, rel=1e-12)
+    assert means[1] == pytest.approx(0.5 * sign, abs=1e-9)
 
 
 def test_arm_rotates_instrument_about_sensor_axes():

@@ -23,8 +23,8 @@ def test_largest_gain_matches_linear_program(seed, spread, total):
     gains *= np.sqrt(cost)
     gains[cost < 2.0] *= 0.01
     criterion = Criterion((0,), (1.0,))
-    found = _Relaxation(np.eye(1), criterion, np.ones((count, 1, 1)), cost, total, number)
-    weight, price = found.linear_optimum(gains)
+    Relaxation = _Relaxation(np.eye(1), criterion, np.ones((count, 1, 1)), cost, total, number)
+    weight, price = Relaxation.linear_optimum(gains)
     limits = {"A_ub": [cost, np.ones(count)], "b_ub": [total, number]}
     expected = linprog(-gains, **limits, method="highs")
     assert gains @ weight == pytest.approx(-expected.fun, rel=1e-9)

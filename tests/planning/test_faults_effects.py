@@ -59,8 +59,8 @@ def coefficient_index(prediction, name="Qx.K_II"):
 
 def fault_of_symbol(prediction, symbol):
     """Return the effect of a fault with this symbol on the campaign."""
-    found = fault_sensitivities(prediction, possible_faults(prediction.campaign, "Qx"))
-    return next(one for one in found if one.fault.symbol == symbol)
+    responses = fault_sensitivities(prediction, possible_faults(prediction.campaign, "Qx"))
+    return next(one for one in responses if one.fault.symbol == symbol)
 
 
 def simulate_fault_signal(fault_of_symbol, series):
@@ -82,21 +82,21 @@ def test_shift_is_contribution_of_considered_term_to_u(symbol, size, predict):
     named = ('# hold = ["K_PP"]  ', f'hold = ["{name}"]')
     held = [named, ("[model.priors]", known)]
     left_out = predict(*out)
-    found = fault_of_symbol(left_out, symbol)
-    told = predict(*out, *held).fit.solution
+    response = fault_of_symbol(left_out, symbol)
+    solution = predict(*out, *held).fit.solution
     place = coefficient_index(left_out)
-    added = math.sqrt(told.u[place] ** 2 - left_out.fit.solution.u[place] ** 2)
-    assert found.shift(place) == pytest.approx(added, rel=1e-6)
+    added = math.sqrt(solution.u[place] ** 2 - left_out.fit.solution.u[place] ** 2)
+    assert response.shift(place) == pytest.approx(added, rel=1e-6)
 
 
 @pytest.mark.parametrize("symbol", ["K_OO", "K_IO"])
 def test_deviation_matches_fit_that_estimates_fault(symbol, predict):
     left_out = predict(*VELOCITY)
-    found = fault_of_symbol(left_out, symbol)
+    response = fault_of_symbol(left_out, symbol)
     estimated = predict(*VELOCITY, ('"K_III", ', f'"K_III", "{symbol}", '))
     u = estimated.u[f"Qx.{symbol}"]
-    size = found.fault.typical_size
-    assert found.z_score(coefficient_index(left_out)) == pytest.approx(size / u, rel=1e-6)
+    size = response.fault.typical_size
+    assert response.z_score(coefficient_index(left_out)) == pytest.approx(size / u, rel=1e-6)
 
 
 # Against records that have the fault
@@ -108,9 +108,9 @@ OBSERVABLES = {"displacement": [], "velocity": VELOCITY, "specific_force": FORCE
 @pytest.mark.parametrize("changes", OBSERVABLES.values(), ids=OBSERVABLES)
 def test_shift_matches_fit_of_record_with_fault(changes, predict):
     prediction = predict(*changes)
-    (found,) = fault_sensitivities(prediction, [ECCENTRICITY])
+    (response,) = fault_sensitivities(prediction, [ECCENTRICITY])
     place = coefficient_index(prediction)
-    moved = found.shifts[place]
+    moved = response.shifts[place]
     phase = moved / np.linalg.norm(moved)
     prepared = []
     for part in prediction.fit.design_blocks:
@@ -119,10 +119,10 @@ def test_shift_matches_fit_of_record_with_fault(changes, predict):
         prepared.append(replace(part, series=replace(part.series, error=error)))
     fit = solve_joint(prepared, prediction.fit.model, prediction.fit.noise)
     estimate = float(fit.solution.estimate[place])
-    assert estimate == pytest.approx(found.shift(place), rel=1e-6)
+    assert estimate == pytest.approx(response.shift(place), rel=1e-6)
     # And what it leaves in the residuals is what the test of them will see.
     left = sum(float(residual.whitened @ residual.whitened) for residual in fit.residuals)
-    seen = found.residual_ss(found.accelerometer_products["Qx"], place)
+    seen = response.residual_ss(response.accelerometer_products["Qx"], place)
     assert left == pytest.approx(seen, rel=1e-4)
 
 
@@ -166,7 +166,9 @@ def test_columns_match_derivatives_of_motion(phase, changes, mounting, predict):
 def test_stretch_equals_radius_change_per_rate(predict):
     series = predict(rates=(5.0,)).fit.design_blocks[0].series
     stretch = next(
-        one for one in possible_faults(predict().campaign, "Qx") if "stretch" in one.symbol
+        actual_possible_fault
+        for actual_possible_fault in possible_faults(predict().campaign, "Qx")
+        if "stretch" in actual_possible_fault.symbol
     )
     motion = series.trajectory
     grown = motion.radius * (1.0 + 1e-6 * motion.radius * 25.0)
@@ -180,8 +182,8 @@ def test_stretch_equals_radius_change_per_rate(predict):
 
 def predict_harmonic_share(prediction):
     place = coefficient_index(prediction)
-    found = fault_sensitivities(prediction, [mean_square_fault("Qx"), square_term_fault("Qx")])
-    mean, whole = (one.shifts[place, 0] for one in found)
+    responses = fault_sensitivities(prediction, [mean_square_fault("Qx"), square_term_fault("Qx")])
+    mean, whole = (one.shifts[place, 0] for one in responses)
     return 1.0 - mean / whole
 
 
@@ -204,14 +206,14 @@ def test_harmonic_share_depends_on_prior(write_starter, predict):
 
 def test_report_and_result_name_undetected_faults(write_starter, capsys):
     result = plan(write_starter(SMALL)).result
-    told = result.accelerometers["Qx"]
-    unseen = {effect.symbol: effect for effect in told.faults if not effect.noticed}
+    qx = result.accelerometers["Qx"]
+    unseen = {effect.symbol: effect for effect in qx.faults if not effect.noticed}
     assert {"K_OO", "delta_O"} <= set(unseen)
-    ratios = [effect.ratio for effect in told.faults]
+    ratios = [effect.ratio for effect in qx.faults]
     assert ratios == sorted(ratios, reverse=True)
     assert min(ratios) > 1.0
     k_oo = unseen["K_OO"]
-    assert k_oo.shift / told.coefficients["K_II"].u == pytest.approx(k_oo.ratio)
+    assert k_oo.shift / qx.coefficients["K_II"].u == pytest.approx(k_oo.ratio)
     console = make_console()
     console.width = 140
     console.print(result)
@@ -222,15 +224,15 @@ def test_report_and_result_name_undetected_faults(write_starter, capsys):
 
 
 def test_force_campaign_depends_on_harmonic_and_eccentricity(write_starter):
-    told = plan(write_starter(SMALL, *FORCE)).result.accelerometers["Qx"]
-    assert told.harmonic_share > 0.3
-    faults = {effect.symbol: effect for effect in told.faults}
+    qx = plan(write_starter(SMALL, *FORCE)).result.accelerometers["Qx"]
+    assert qx.harmonic_share > 0.3
+    faults = {effect.symbol: effect for effect in qx.faults}
     assert faults["encoder.harmonic.1"].ratio > 10.0
     assert faults["encoder.harmonic.3"].noticed
 
 
 def test_model_without_k_ii_has_no_fault_report(write_starter):
     file = write_starter(SMALL, ('"K_II", ', ""), ('minimise = ["K_II"]  ', 'minimise = ["K_I"]  '))
-    told = plan(file).result.accelerometers["Qx"]
-    assert told.harmonic_share is None
-    assert told.faults is None
+    qx = plan(file).result.accelerometers["Qx"]
+    assert qx.harmonic_share is None
+    assert qx.faults is None

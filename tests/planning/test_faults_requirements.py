@@ -39,14 +39,14 @@ def test_eccentricity_and_imbalance_increase_u_by_5_percent(write_starter):
     prediction = forecast(write_planned_campaign(planned, write_starter))
     place = [u.name for u in prediction.fit.model.unknowns].index("Qx.K_II")
     paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
-    found = fault_sensitivities(prediction, [path_fault(symbol) for symbol in paths])
+    responses = fault_sensitivities(prediction, [path_fault(symbol) for symbol in paths])
     sizes = {line.words: line.size for line in planned.result.requirements}
-    for one, words in zip(found, ("encoder error", "imbalance"), strict=True):
+    for one, words in zip(responses, ("encoder error", "imbalance"), strict=True):
         size = next(size for key, size in sizes.items() if words in key)
         added = one.unit_shift(place) * size / prediction.u["Qx.K_II"]
         assert 1.0 + added**2 == pytest.approx(1.05**2, rel=1e-9)
     # A second of arc would be far too much, where a force is recorded.
-    assert found[0].shift(place) > 10.0 * prediction.u["Qx.K_II"]
+    assert responses[0].shift(place) > 10.0 * prediction.u["Qx.K_II"]
 
 
 def test_requirement_of_estimated_fault_is_computed_without_it(write_starter, tmp_path):

@@ -20,19 +20,19 @@ def test_forecast_matches_calibration_of_mixed_campaign(tmp_path):
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     planned = text.replace('record = "run', 'revolutions = 20\nrecord = "run')
     (folder / "campaign.toml").write_text(planned, encoding="utf-8")
-    told = forecast(folder, sampling_rate=10.0)
+    prediction = forecast(folder, sampling_rate=10.0)
     for symbol, c in result.accelerometers["A"].coefficients.items():
         # Records are reduced to block means and know their own rotation; a forecast samples.
-        assert c.u == pytest.approx(told.u[f"A.{symbol}"], rel=5e-3)
+        assert c.u == pytest.approx(prediction.u[f"A.{symbol}"], rel=5e-3)
 
 
 def test_forecast_matches_calibration_of_poses(tmp_path):
     values = triads.compute_indications(triads.draw_directions(15, np.random.default_rng(1)))
     folder = triads.write_pose_campaign(tmp_path, values, u=1e-4)
-    told, result = forecast(folder), calibrate(folder)
+    prediction, result = forecast(folder), calibrate(folder)
     # A forecast takes derivatives at nominal coefficients: these are off by a percent or less.
     for name in ("X.K_F", "Y.K_I", "Z.delta_O"):
-        assert told.u[name] == pytest.approx(result.coefficient(name).u, rel=0.05)
+        assert prediction.u[name] == pytest.approx(result.coefficient(name).u, rel=0.05)
     with pytest.raises(CampaignError, match="requires the standard uncertainty"):
         forecast(triads.write_pose_campaign(tmp_path / "unstated", values))
 
@@ -70,11 +70,13 @@ K_III = "0 g/g^3"
 {noise}"""
     simulate(write_description(tmp_path / "true", text), tmp_path / "records")
     result = calibrate(tmp_path / "records")
-    told = forecast(write_description(tmp_path / "true", text))
-    found = f"{result.coefficient('Qx.K_III').value!r} g/g^3"
-    again = forecast(write_description(tmp_path / "found", replace_parts(text, ("0 g/g^3", found))))
+    prediction = forecast(write_description(tmp_path / "true", text))
+    actual_text = f"{result.coefficient('Qx.K_III').value!r} g/g^3"
+    again = forecast(
+        write_description(tmp_path / "found", replace_parts(text, ("0 g/g^3", actual_text)))
+    )
     u = result.coefficient("Qx.K_II").u
-    assert u > 1.5 * told.u["Qx.K_II"]
+    assert u > 1.5 * prediction.u["Qx.K_II"]
     assert u == pytest.approx(again.u["Qx.K_II"], rel=0.05)
 
 
@@ -133,12 +135,12 @@ def test_forecast_does_not_depend_on_velocity_feedback(tmp_path):
 
 
 def test_forecast_repr_has_line_per_coefficient(tmp_path):
-    found = forecast(write_description(tmp_path, SMALL))
-    head, *lines = repr(found).splitlines()
-    assert head == f"Forecast of {found.campaign.title}"
-    asked = [unknown.name for unknown in found.fit.model.of_interest]
-    assert [line.split()[0] for line in lines] == asked
+    prediction = forecast(write_description(tmp_path, SMALL))
+    head, *lines = repr(prediction).splitlines()
+    assert head == f"Forecast of {prediction.campaign.title}"
+    names = [unknown.name for unknown in prediction.fit.model.of_interest]
+    assert [line.split()[0] for line in lines] == names
     shown = dict(line.split(maxsplit=1) for line in lines)
     value, unit = shown["Qx.K_II"].removeprefix("u = ").split()
     assert unit == "ug/g^2"
-    assert float(value) == pytest.approx(1e6 * found.u["Qx.K_II"], rel=0.05)
+    assert float(value) == pytest.approx(1e6 * prediction.u["Qx.K_II"], rel=0.05)

@@ -188,20 +188,20 @@ def test_d_optimal_gain_is_coefficient_count():
 def test_optimum_matches_exhaustive_search(predictor):
     """Three runs at five rates and six lengths each: no plan of the grid is better."""
     limits = replace(DAY, max_runs=3, total_time=300.0, types=BOTH, max_duration=300.0)
-    found = optimise(predictor, limits, K_II)
+    optimum = optimise(predictor, limits, K_II)
     best = math.inf
     rates, times = np.geomspace(0.2, 1.0, 5) * FAST, np.linspace(20.0, 230.0, 6)
-    one = list(itertools.product(rates, times))
+    product = list(itertools.product(rates, times))
     for types in itertools.combinations_with_replacement(BOTH, 3):
-        plans = np.array(list(itertools.product(one, repeat=3)))  # (n, 3, 2)
+        plans = np.array(list(itertools.product(product, repeat=3)))  # (n, 3, 2)
         plans = plans[plans[:, :, 1].sum(axis=1) + 30.0 <= limits.total_time]
         for start in range(0, len(plans), 4000):
             rate, time = np.moveaxis(plans[start : start + 4000], 2, 0)
             covariance = predictor.covariance(types, rate, rate * time / (2.0 * math.pi))
             best = min(best, float(K_II.value(covariance).min()))
-    assert found.value <= best + 1e-9
-    assert best < found.value + 0.02  # and the grid is fine enough to say so
-    assert found.bound <= found.value
+    assert optimum.value <= best + 1e-9
+    assert best < optimum.value + 0.02  # and the grid is fine enough to say so
+    assert optimum.bound <= optimum.value
 
 
 def test_rate_settings_match_exhaustive_search(predictor):
@@ -210,8 +210,8 @@ def test_rate_settings_match_exhaustive_search(predictor):
         DAY, rate_settings=settings, rate_range=(settings[0], FAST), max_runs=3, total_time=200.0
     )
     criterion = Criterion((1, 2), (1e-4, 1e-8))
-    found = optimise(predictor, limits, criterion)
-    assert set(found.design.rate) <= set(settings)
+    optimum = optimise(predictor, limits, criterion)
+    assert set(optimum.design.rate) <= set(settings)
     best = math.inf
     for count in (1, 2, 3):
         for rates in itertools.combinations_with_replacement(settings, count):
@@ -219,18 +219,18 @@ def test_rate_settings_match_exhaustive_search(predictor):
                 Design(ONE * count, np.array(rates), np.full(count, 30.0)), limits
             )
             best = min(best, polish(predictor, limits, criterion, start)[0])
-    assert found.value == pytest.approx(best, abs=1e-4)
+    assert optimum.value == pytest.approx(best, abs=1e-4)
 
 
 @pytest.mark.parametrize(
     ("types", "u"), [(ONE, 2.254e-8), (BOTH, 1.643e-8)], ids=["one sense", "both"]
 )
 def test_best_plan_reaches_acceptance_u(predictor, types, u):
-    found = optimise(predictor, replace(DAY, types=types), K_II)
-    assert math.exp(found.value) <= u * 1.0005
-    assert found.efficiency > 0.985
-    assert DAY.campaign_time(found.design) <= DAY.total_time * (1.0 + 1e-9)
-    assert len(found.design.types) <= DAY.max_runs
+    optimum = optimise(predictor, replace(DAY, types=types), K_II)
+    assert math.exp(optimum.value) <= u * 1.0005
+    assert optimum.efficiency > 0.985
+    assert DAY.campaign_time(optimum.design) <= DAY.total_time * (1.0 + 1e-9)
+    assert len(optimum.design.types) <= DAY.max_runs
 
 
 def test_plan_is_within_limits():
@@ -248,8 +248,8 @@ def test_plan_is_within_limits():
         spin_up=2.0,
         attitude_change=30.0,
     )
-    found = optimise(predictor, limits, Criterion((1, 2), (1e-4, 1e-8)))
-    design = found.design
+    optimum = optimise(predictor, limits, Criterion((1, 2), (1e-4, 1e-8)))
+    design = optimum.design
     assert limits.campaign_time(design) <= 400.0 * (1.0 + 1e-9)
     assert design.rate.max() <= 5.0 * (1.0 + 1e-9)
     assert design.duration.max() <= 60.0 * (1.0 + 1e-6)
@@ -276,27 +276,27 @@ def test_start_outside_limits_leads_to_plan_within_limits(predictor, best_plan, 
     limits = NARROWER[narrower]
     assert DAY.contains(best_plan.design)
     assert not limits.contains(best_plan.design)
-    found = optimise(predictor, limits, K_II, start=best_plan.design)
-    assert limits.contains(found.design)
-    assert found.value >= best_plan.value - 1e-6
-    assert found.efficiency > 0.8
+    optimum = optimise(predictor, limits, K_II, start=best_plan.design)
+    assert limits.contains(optimum.design)
+    assert optimum.value >= best_plan.value - 1e-6
+    assert optimum.efficiency > 0.8
 
 
 @pytest.mark.parametrize(("fewest", "word"), [(2, "two"), (4, "four")])
 def test_plan_has_required_number_of_rates(predictor, best_plan, fewest, word):
     limits = replace(DAY, min_rates=fewest, min_revolutions=5.0)
-    found = optimise(predictor, limits, K_II)
+    optimum = optimise(predictor, limits, K_II)
     assert len(set(np.round(best_plan.design.rate, 6))) == 1
-    rates = found.design.rate
+    rates = optimum.design.rate
     apart = rates[limits.distinct_rate_runs(rates)]
     assert len(apart) == fewest
     assert np.all(apart[:-1] / apart[1:] >= 1.25 * (1.0 - 1e-4))
-    assert limits.campaign_time(found.design) <= limits.total_time * (1.0 + 1e-9)
+    assert limits.campaign_time(optimum.design) <= limits.total_time * (1.0 + 1e-9)
     # It costs something, and little: the bound is that without the rule.
     page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text("utf-8")
     stated = float(re.search(rf"(\d+) % for {word} rates", " ".join(page.split()))[1])
-    assert 100.0 * math.expm1(found.value - best_plan.value) == pytest.approx(stated, abs=0.5)
-    assert found.bound <= found.value
+    assert 100.0 * math.expm1(optimum.value - best_plan.value) == pytest.approx(stated, abs=0.5)
+    assert optimum.bound <= optimum.value
 
 
 def test_plan_has_required_number_of_rate_settings(predictor):
@@ -304,22 +304,22 @@ def test_plan_has_required_number_of_rate_settings(predictor):
     limits = replace(
         DAY, rate_settings=settings, rate_range=(settings[0], FAST), max_runs=5, min_rates=3
     )
-    found = optimise(predictor, replace(limits, total_time=300.0), K_II)
-    assert len(set(found.design.rate)) >= 3
-    assert set(found.design.rate) <= set(settings)
+    optimum = optimise(predictor, replace(limits, total_time=300.0), K_II)
+    assert len(set(optimum.design.rate)) >= 3
+    assert set(optimum.design.rate) <= set(settings)
 
 
 def test_least_time_plan_meets_target(predictor):
     target = Criterion((2,), (3e-8,))
-    found = minimise_time(predictor, DAY, target)
-    assert found is not None
-    time = DAY.campaign_time(found.design)
-    assert math.exp(found.value) == pytest.approx(time)
-    assert predictor.value(target, found.design) <= 1e-6
+    minimise_time_result = minimise_time(predictor, DAY, target)
+    assert minimise_time_result is not None
+    time = DAY.campaign_time(minimise_time_result.design)
+    assert math.exp(minimise_time_result.value) == pytest.approx(time)
+    assert predictor.value(target, minimise_time_result.design) <= 1e-6
     # Five seconds less, and the best plan there is misses it.
     shorter = optimise(predictor, replace(DAY, total_time=time - 5.0), K_II)
     assert math.exp(shorter.value) > 3e-8
-    assert found.bound <= found.value
+    assert minimise_time_result.bound <= minimise_time_result.value
 
 
 def test_unreachable_target_returns_none(predictor):

@@ -153,12 +153,12 @@ def test_calibration_matches_forecast_of_complete_plan(tmp_path):
     (tmp_path / "PLAN.toml").write_text(EVERYTHING, encoding="utf-8")
     planned = plan(tmp_path / "PLAN.toml")
     simulate(read_campaign(write_campaign(planned, tmp_path / "planned")), tmp_path / "simulated")
-    found = calibrate(tmp_path / "simulated")
+    result = calibrate(tmp_path / "simulated")
     for name, accelerometer in planned.result.accelerometers.items():
-        for symbol, one in accelerometer.coefficients.items():
-            told = found.accelerometers[name].coefficients[symbol]
-            assert told.estimated == one.estimated
-            assert told.u == pytest.approx(one.u, rel=0.05), symbol
+        for symbol, coefficient in accelerometer.coefficients.items():
+            actual_coefficient = result.accelerometers[name].coefficients[symbol]
+            assert actual_coefficient.estimated == coefficient.estimated
+            assert actual_coefficient.u == pytest.approx(coefficient.u, rel=0.05), symbol
     assert planned.result.total_time <= 180.0
     assert max(run.specific_force for run in planned.result.runs) <= 8.0 * (1.0 + 1e-9)
 
@@ -173,25 +173,25 @@ def test_calibration_matches_forecast_of_plan(changes, plan_starter, tmp_path):
     limits = read_plan(tmp_path / "PLAN.toml").limits
     assert planned.result.total_time <= limits.total_time * (1.0 + 1e-9)
     simulate(campaign, tmp_path / "simulated")
-    found = calibrate(tmp_path / "simulated")
+    result = calibrate(tmp_path / "simulated")
     promised = planned.result.accelerometers["Qx"].coefficients | planned.result.platform
-    told = found.accelerometers["Qx"].coefficients | found.platform
-    assert set(promised) == set(told)
+    coefficients = result.accelerometers["Qx"].coefficients | result.platform
+    assert set(promised) == set(coefficients)
     for symbol, one in promised.items():
-        assert one.estimated == told[symbol].estimated, symbol
+        assert one.estimated == coefficients[symbol].estimated, symbol
         if one.estimated:
-            assert told[symbol].u == pytest.approx(one.u, rel=0.05), symbol
+            assert coefficients[symbol].u == pytest.approx(one.u, rel=0.05), symbol
 
 
 def figures_of_the_page():
     """Return u(K_II) of the paper's plan, of the example's, their ratio, and u in both senses."""
     number = r"(\d[\d.]*(?:e-\d+)?)"
-    found = re.search(
+    match = re.search(
         rf"u\(K_II\) = {number} g/g²\. .* u\(K_II\) = {number} g/g², which is {number} times.*"
         rf"both senses, u\(K_II\) is {number} g/g²",
         " ".join((DOCS / "plan.md").read_text("utf-8").split()),
     )
-    return [float(text) for text in found.groups()]
+    return [float(text) for text in match.groups()]
 
 
 def test_one_day_plan_reaches_documented_u(plan_starter):
@@ -227,17 +227,19 @@ def test_gain_of_fewer_rates_matches_new_plan(plan_starter):
     changes = (GOAL, 'target = { K_II = "6e-8 g/g^2" }'), ("runs = 14", "runs = 5")
     two = plan_starter(*changes, ("fewest_rates = 1", "fewest_rates = 2")).result
     gains = {line.key: line.gain for line in two.limits}
-    one = plan_starter(*changes).result
+    result = plan_starter(*changes).result
     # A gain is at least what it says; rounding to 0.1 s a run is left out of it.
-    assert gains["fewest_rates"] == pytest.approx(1.0 - one.total_time / two.total_time, abs=0.01)
+    assert gains["fewest_rates"] == pytest.approx(
+        1.0 - result.total_time / two.total_time, abs=0.01
+    )
 
 
 def test_two_rates_are_planned_in_minimum_time(write_plan):
     """Five revolutions at the lowest rate, an eighth of the highest, take all of the 40 s."""
-    found = plan(write_plan(TWO_RATES)).result
-    assert len({run.rate for run in found.runs}) == 2
-    assert 11.25 < found.total_time <= 40.0
-    half = found.others[-1]
+    result = plan(write_plan(TWO_RATES)).result
+    assert len({run.rate for run in result.runs}) == 2
+    assert 11.25 < result.total_time <= 40.0
+    half = result.others[-1]
     assert half.words.startswith("best plan in half the time")
     assert half.ratio["Qx.K_II"] < 1.0
 
@@ -280,11 +282,11 @@ def test_target_with_time_stamp_noise_is_reached(write_starter, capsys):
     assert best.goal.efficiency is None
     assert "no bound is known" in print_report(best, capsys)
     u = best.accelerometers["Qx"].coefficients["K_II"].u
-    found = plan(
+    result = plan(
         write_starter(*changes, (GOAL, f'target = {{ K_II = "{1.02 * u!r} g/g^2" }}'))
     ).result
-    assert 0.99 < found.accelerometers["Qx"].coefficients["K_II"].u / (1.02 * u) <= 1.0
-    assert found.total_time < best.total_time
+    assert 0.99 < result.accelerometers["Qx"].coefficients["K_II"].u / (1.02 * u) <= 1.0
+    assert result.total_time < best.total_time
     with raises("goal-not-reached"):
         plan(write_starter(*changes, (GOAL, f'target = {{ K_II = "{0.9 * u!r} g/g^2" }}')))
 

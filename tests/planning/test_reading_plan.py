@@ -160,8 +160,8 @@ def test_target_includes_drift(write_plan):
     with pytest.raises(CounterspinError, match="no choice of readings") as raised:
         planned("listed", f'target = {{ delta_O = "{u * (1.0 - 1e-5)!r} rad" }}')
     # Digits that tell the two apart, and where the best comes from.
-    asked, had = re.findall(r"(\d\.?\d*e-\d+) rad", str(raised.value))
-    assert float(asked) < float(had)
+    matches, had = re.findall(r"(\d\.?\d*e-\d+) rad", str(raised.value))
+    assert float(matches) < float(had)
     assert "; the variance comes from " in str(raised.value)
 
 
@@ -235,11 +235,11 @@ def test_calibration_matches_forecast_of_plan(write_plan, tmp_path):
         else:
             filled.append(line)
     file.write_text("\n".join(filled), encoding="utf-8")
-    told = calibrate(folder).accelerometers["A"].coefficients
+    coefficients = calibrate(folder).accelerometers["A"].coefficients
     for symbol, predicted in planned.result.accelerometers["A"].coefficients.items():
-        assert told[symbol].estimated == predicted.estimated
+        assert coefficients[symbol].estimated == predicted.estimated
         if predicted.estimated:
-            assert told[symbol].u == pytest.approx(predicted.u, rel=1e-3), symbol
+            assert coefficients[symbol].u == pytest.approx(predicted.u, rel=1e-3), symbol
     checked = check(folder)
     assert u_of_symbol(checked, "K_II") == pytest.approx(
         u_of_symbol(planned.result, "K_II"), rel=1e-6
@@ -287,8 +287,8 @@ def test_stretch_of_arm_shifts_k_ii(ways, write_plan, tmp_path):
     text = ARM.partition("[[stations]]")[0] + "\n".join(runs)
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     prediction = forecast(tmp_path)
-    found = fault_sensitivities(prediction, possible_faults(prediction.campaign, "A"))
-    stretch = next(one for one in found if one.fault.symbol == "centrifuge.stretch")
+    responses = fault_sensitivities(prediction, possible_faults(prediction.campaign, "A"))
+    stretch = next(one for one in responses if one.fault.symbol == "centrifuge.stretch")
     place = [unknown.name for unknown in prediction.fit.model.unknowns].index("A.K_II")
     shift = stretch.shift(place)
     expected = 4.6e-9 * 9.80665 if len(ways) == 1 else 0.0
@@ -307,12 +307,12 @@ def test_report_and_json_contain_readings(write_plan, tmp_path, capsys, monkeypa
     assert "Effects on A that the plan cannot detect" in printed
     assert "every reading equally often" in printed or "distributed evenly" in printed
     assert "Replace each ? with the reading" in printed
-    told = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))
-    assert told["runs"] == []
-    assert told["sampling_rate"] is None
-    assert len(told["readings"]) == 24
-    assert told["accelerometers"]["A"]["harmonic_share"] is None
-    assert {fault["symbol"] for fault in told["accelerometers"]["A"]["faults"]} >= {"K_4"}
+    document = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))
+    assert document["runs"] == []
+    assert document["sampling_rate"] is None
+    assert len(document["readings"]) == 24
+    assert document["accelerometers"]["A"]["harmonic_share"] is None
+    assert {fault["symbol"] for fault in document["accelerometers"]["A"]["faults"]} >= {"K_4"}
 
 
 # Bad input

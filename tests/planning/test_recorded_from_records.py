@@ -23,9 +23,9 @@ def recorded(request, tmp_path_factory):
 
 
 def test_forecast_of_records_matches_calibration(recorded):
-    found, expected = calibrate(recorded), check(recorded)
+    result, expected = calibrate(recorded), check(recorded)
     noise_is_stated = read_campaign(recorded).noise is not None
-    for name, accelerometer in found.accelerometers.items():
+    for name, accelerometer in result.accelerometers.items():
         for symbol, coefficient in accelerometer.coefficients.items():
             forecast = expected.accelerometers[name].coefficients[symbol]
             assert forecast.estimated == coefficient.estimated, symbol

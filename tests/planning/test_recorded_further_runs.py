@@ -25,17 +25,19 @@ def suggest_further_runs(campaign, name="Qx.K_II"):
 
 
 def test_further_runs_reach_promised_u(recorded, tmp_path):
-    found = suggest_further_runs(read_campaign(recorded))
+    further_runs = suggest_further_runs(read_campaign(recorded))
     before = calibrate(recorded).accelerometers["Qx"].coefficients["K_II"].u
-    assert found.u_without == pytest.approx(before, rel=1e-3)
-    assert found.u < 0.8 * before
-    more = [dict(run) for run in found.runs]
+    assert further_runs.u_without == pytest.approx(before, rel=1e-3)
+    assert further_runs.u < 0.8 * before
+    more = [dict(run) for run in further_runs.runs]
     for run in more:
         run["revolutions"] = 20
         assert float(run.pop("duration").split()[0]) > 0.0
     text = HONEST.replace("[simulation]", f"{format_document({'runs': more})}\n[simulation]")
     after = calibrate(simulate_measured_campaign(tmp_path / "more", tmp_path / "plan", text))
-    assert after.accelerometers["Qx"].coefficients["K_II"].u == pytest.approx(found.u, rel=1e-2)
+    assert after.accelerometers["Qx"].coefficients["K_II"].u == pytest.approx(
+        further_runs.u, rel=1e-2
+    )
 
 
 def test_complete_campaign_needs_no_further_attitude(recorded):

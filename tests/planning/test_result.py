@@ -17,21 +17,21 @@ ASSUMED = 'assume = "all"\n'
 @pytest.mark.parametrize("assume", [ASSUMED, ""], ids=["all assumed", "nothing assumed"])
 def test_u_matches_calibration(assume, tmp_path):
     simulate(write_description(tmp_path, replace_parts(SMALL, (ASSUMED, assume))), tmp_path)
-    forecast, found = check(tmp_path), calibrate(tmp_path)
-    assert forecast.assumed == found.assumed
-    assert bool(found.assumed) == bool(assume)
+    forecast, result = check(tmp_path), calibrate(tmp_path)
+    assert forecast.assumed == result.assumed
+    assert bool(result.assumed) == bool(assume)
     compared = 0
     for name, planned in forecast.accelerometers.items():
         for symbol, predicted in planned.coefficients.items():
-            c = found.accelerometers[name].coefficients[symbol]
+            c = result.accelerometers[name].coefficients[symbol]
             assert predicted.estimated == c.estimated, symbol
             if not predicted.estimated:
                 continue
             compared += 1
             assert predicted.u == pytest.approx(c.u, rel=0.02), symbol
             for part in ("u_noise", "u_stated", "u_unstated"):
-                one, other = getattr(predicted, part), getattr(c, part)
-                assert one == pytest.approx(other, rel=0.02, abs=1e-3 * c.u), (symbol, part)
+                first, second = getattr(predicted, part), getattr(c, part)
+                assert first == pytest.approx(second, rel=0.02, abs=1e-3 * c.u), (symbol, part)
             square = math.hypot(predicted.u_noise, predicted.u_stated, predicted.u_unstated)
             assert predicted.u == pytest.approx(square, rel=1e-9)
     # A scale factor without ± is exact if everything is.
@@ -83,9 +83,9 @@ MODEL
 @pytest.mark.parametrize("assume", [ASSUMED, ""], ids=["all assumed", "nothing assumed"])
 def test_u_of_readings_matches_calibration(assume, tmp_path):
     text = READ.replace("MODEL", f'[model]\nterms = ["K_F", "K_I", "K_II"]\n{assume}')
-    forecast, found = check(write_description(tmp_path, text)), calibrate(tmp_path)
+    forecast, result = check(write_description(tmp_path, text)), calibrate(tmp_path)
     for symbol, predicted in forecast.accelerometers["A"].coefficients.items():
-        c = found.accelerometers["A"].coefficients[symbol]
+        c = result.accelerometers["A"].coefficients[symbol]
         assert predicted.u == pytest.approx(c.u, rel=1e-3), symbol
     sources = {line.source for line in forecast.accelerometers["A"].budget["K_II"]}
     unstated = {"K_F.heating", "K_IO"}

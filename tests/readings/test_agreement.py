@@ -63,10 +63,10 @@ def test_shared_considered_term_cancels_in_shift():
     ]
     model = Unknowns((MEAN,), (both,))
     whole = solve_joint(kinds, model, {})
-    found = compare_motions(whole)["first"]
+    first = compare_motions(whole)["first"]
     z = 3e-3 / math.hypot(1e-3, 2e-3)
-    assert abs(found.shift[0] / found.u_shift[0]) == pytest.approx(z)
-    assert found.chi2 == pytest.approx(z**2, rel=1e-6)
+    assert abs(first.shift[0] / first.u_shift[0]) == pytest.approx(z)
+    assert first.chi2 == pytest.approx(z**2, rel=1e-6)
 
 
 def test_considered_term_of_one_kind_widens_shift():
@@ -77,10 +77,10 @@ def test_considered_term_of_one_kind_widens_shift():
     ]
     model = Unknowns((MEAN,), (own,))
     whole = solve_joint(kinds, model, {})
-    found = compare_motions(whole)["second"]
+    second = compare_motions(whole)["second"]
     z = 3e-3 / math.hypot(1e-3, 2e-3, 3e-3)
-    assert abs(found.shift[0] / found.u_shift[0]) == pytest.approx(z)
-    assert found.chi2 == pytest.approx(z**2, rel=1e-6)
+    assert abs(second.shift[0] / second.u_shift[0]) == pytest.approx(z)
+    assert second.chi2 == pytest.approx(z**2, rel=1e-6)
 
 
 def test_undetermined_combination_is_not_tested():
@@ -92,11 +92,11 @@ def test_undetermined_combination_is_not_tested():
     ]
     model = Unknowns((MEAN, other))
     whole = solve_joint(kinds, model, {})
-    found = compare_motions(whole)
-    assert [found[kind].dof for kind in ("first", "second")] == [1, 1]
+    comparison = compare_motions(whole)
+    assert [comparison[kind].dof for kind in ("first", "second")] == [1, 1]
     design = np.array([[1, 0], [0, 1], [1, 1]])
     estimate = np.linalg.lstsq(design, np.array([1e-3, 2e-3, 2.5e-3]), rcond=None)[0]
     u_sum = 1e-6 * math.sqrt(np.ones(2) @ np.linalg.inv(design.T @ design) @ np.ones(2))
     z = (4e-3 - estimate.sum()) / math.hypot(u_sum, 1e-6)
     for kind in ("first", "second"):
-        assert found[kind].chi2 == pytest.approx(z**2, rel=1e-5)
+        assert comparison[kind].chi2 == pytest.approx(z**2, rel=1e-5)

@@ -290,9 +290,9 @@ def test_outlier_count_does_not_exceed_reading_count(tmp_path):
     """A position that is off twice over, and each of its readings, are two readings."""
     result = calibrate_on_arm(tmp_path, 1.0, drift=4e-6)
     text = " ".join(finding.text for finding in result.findings)
-    said = re.findall(r"(\d+) of (\d+) readings", text)
+    matches = re.findall(r"(\d+) of (\d+) readings", text)
     assert result.state == "contradicted"
-    assert all(int(off) <= int(there) for off, there in said)
+    assert all(int(off) <= int(there) for off, there in matches)
 
 
 def test_radius_error_of_all_mountings_is_one_finding(tmp_path):
@@ -619,12 +619,12 @@ def test_stated_first_harmonic_of_head_covers_error_of_k_ii(tmp_path):
         values = simulate_readings(make_tumble(), np.random.default_rng(3), 0.0, truth=LEVEL)
         values += error * np.sin(angle + phase) * np.sin(angle)
         asked = (*LEVEL, "K_II", "K_IP")
-        found = (
+        coefficients = (
             calibrate_readings(tmp_path, evenly_spaced_angles(12), values, terms=asked)
             .accelerometers["A"]
             .coefficients
         )
-        off = found["K_F"].value - LEVEL["K_F"]
+        off = coefficients["K_F"].value - LEVEL["K_F"]
         assert off == pytest.approx(error * math.cos(phase), abs=1e-9)
         position = ('[fixture]\nposition = "0 ± 2.9 arcsec"\n',)
         stated = calibrate_readings(

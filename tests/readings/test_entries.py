@@ -54,11 +54,11 @@ def test_output_in_g_needs_no_sensitivity(tmp_path, unit, scale):
 def test_accelerometer_error_causes_no_errors_of_readings(tmp_path):
     wrong = HEAD.replace('input_axis = "up"', 'input_axis = "upp"')
     assert wrong != HEAD
-    (told,) = read_problems(tmp_path, wrong + RUN)
-    assert told.startswith("accelerometers.A.input_axis: unknown direction")
+    (problem,) = read_problems(tmp_path, wrong + RUN)
+    assert problem.startswith("accelerometers.A.input_axis: unknown direction")
     unknown = HEAD.replace('sensitivity = "1.25 mA/g"', 'sensitivty = "1.25 mA/g"')
-    told = read_problems(tmp_path, unknown + RUN)
-    assert all(one.startswith("accelerometers.A.output.") for one in told)
+    problem = read_problems(tmp_path, unknown + RUN)
+    assert all(one.startswith("accelerometers.A.output.") for one in problem)
     # What its output is in holds whatever else is wrong: the reading's own mistake is told too.
     both = read_problems(tmp_path, wrong + RUN.replace("1.082532 ± 2e-6 mA", "1.08 V"))
     assert (
@@ -71,11 +71,13 @@ def test_reading_error_causes_no_unused_prior_error(tmp_path):
     radius = '"centrifuge.radius.in" = "0 ± 1e-5 m"\n'
     known = f"[model.priors]\n{radius}[truth.machine]\n{radius.replace(' ± 1e-5', '')}"
     read(tmp_path, HEAD + ARM + known + ON_ARM)
-    (told,) = read_problems(tmp_path, HEAD + ARM + known + ON_ARM.replace("9.9 rad/s", "9.9 rad"))
-    assert told.startswith("runs[0].rate: ")
+    (problem,) = read_problems(
+        tmp_path, HEAD + ARM + known + ON_ARM.replace("9.9 rad/s", "9.9 rad")
+    )
+    assert problem.startswith("runs[0].rate: ")
     other = known.replace("radius.in", "radius.out")
-    told = read_problems(tmp_path, HEAD + ARM + other + ON_ARM)
-    assert [one.partition(": ")[2][:24] for one in told] == ['no reading depends on "c'] * 2
+    problem = read_problems(tmp_path, HEAD + ARM + other + ON_ARM)
+    assert [one.partition(": ")[2][:24] for one in problem] == ['no reading depends on "c'] * 2
 
 
 def test_output_zero_is_subtracted_from_reading(tmp_path):
@@ -345,13 +347,13 @@ def test_positioning_error_requires_zero_value_and_positive_u(tmp_path, error):
 
 def test_all_errors_of_run_are_reported_together(tmp_path):
     wrong = RUN.replace("mA", "V").replace("about north", "about nort")
-    told = read_problems(tmp_path, HEAD + wrong + 'rate = "1 rad/s"\nu = 3\n')
-    assert [line.partition(":")[0] for line in told] == [
+    problems = read_problems(tmp_path, HEAD + wrong + 'rate = "1 rad/s"\nu = 3\n')
+    assert [line.partition(":")[0] for line in problems] == [
         "runs[0].attitude",
         "runs[0].reading",
         "runs[0].rate",
         "runs[0].u",
     ]
     # What hangs on a wrong key is not told: how it moves says whether it needs a rate.
-    told = read_problems(tmp_path, HEAD + RUN.replace('"static"', '"statc"'))
-    assert [line.partition(":")[0] for line in told if "runs" in line] == ["runs[0].motion"]
+    problems = read_problems(tmp_path, HEAD + RUN.replace('"static"', '"statc"'))
+    assert [line.partition(":")[0] for line in problems if "runs" in line] == ["runs[0].motion"]

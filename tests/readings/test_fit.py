@@ -155,10 +155,10 @@ def test_noise_matches_likelihood_search_of_records():
     repeats = RecordData(np.arange(36.0), 0, nothing, scatter, places=())
     known = np.zeros((1, 4))
     known[0, 3] = 1.0 / prior.prior[1]
-    found = estimate_noise(
+    noise = estimate_noise(
         [rows, repeats], Noise(ESTIMATE), known, [prior.prior_mean / prior.prior[1]]
     )
-    assert fit.groups[0].noise == pytest.approx(found.noise.white, rel=1e-5)
+    assert fit.groups[0].noise == pytest.approx(noise.noise.white, rel=1e-5)
 
 
 def test_repeats_and_residuals_determine_noise():
@@ -213,9 +213,9 @@ def test_studentised_residual_matches_fit_without_reading():
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
     for k, one in enumerate(every):
         others = np.delete(x, k, axis=0)
-        found, (squares,), *_ = np.linalg.lstsq(others, np.delete(values, k), rcond=None)
+        solution, (squares,), *_ = np.linalg.lstsq(others, np.delete(values, k), rcond=None)
         variance = squares / 8.0 * (1.0 + x[k] @ np.linalg.solve(others.T @ others, x[k]))
-        t = (values[k] - x[k] @ found) / math.sqrt(variance)
+        t = (values[k] - x[k] @ solution) / math.sqrt(variance)
         assert one.studentized == pytest.approx(t, rel=1e-4)
         assert one.p == pytest.approx(2.0 * stats.t.sf(abs(t), 8.0), rel=1e-3)
 

@@ -125,9 +125,17 @@ def test_tumble_and_arm_together_reduce_uncertainty(tmp_path):
         "tumble": tumble_runs(simulate_readings(make_tumble(), rng, SIGMA, truth={**TRUTH})),
         "arm": arm_runs(test, simulate_readings(test, rng, SIGMA)),
     }
-    asked = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
-    both = write_and_calibrate(tmp_path, asked, *runs.values()).accelerometers["A"].coefficients
-    alone = write_and_calibrate(tmp_path, asked, runs["arm"]).accelerometers["A"].coefficients
+    model_section_result = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
+    both = (
+        write_and_calibrate(tmp_path, model_section_result, *runs.values())
+        .accelerometers["A"]
+        .coefficients
+    )
+    alone = (
+        write_and_calibrate(tmp_path, model_section_result, runs["arm"])
+        .accelerometers["A"]
+        .coefficients
+    )
     for symbol in ("K_F", "K_I", "K_II"):
         assert both[symbol].u < alone[symbol].u
     assert abs(both["K_II"].value - TRUTH["K_II"]) < 4.0 * both["K_II"].u
@@ -138,8 +146,10 @@ def test_noise_is_estimated_separately_at_rest_and_on_arm(tmp_path):
     test = make_arm_test()
     tumbles = tumble_runs(simulate_readings(make_tumble(), rng, SIGMA, truth={**TRUTH}), None)
     arms = arm_runs(test, simulate_readings(test, rng, 20.0 * SIGMA), None)
-    asked = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
-    noise = write_and_calibrate(tmp_path, asked, tumbles, arms).accelerometers["A"].noise
+    model_section_result = model_section("K_F", "K_I", "K_II", "K_III", "delta_O")
+    noise = (
+        write_and_calibrate(tmp_path, model_section_result, tumbles, arms).accelerometers["A"].noise
+    )
     assert all(line.estimated for line in noise.values())
     at_rest, on_the_arm = sorted(line.value for line in noise.values())
     assert 10.0 < on_the_arm / at_rest < 40.0
@@ -215,9 +225,9 @@ def test_u_of_k_ii_at_one_g_includes_priors_of_squares(tmp_path):
     values = simulate_readings(make_tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
     known = "".join(f'{symbol} = "0 ± 3e-6 g/g^2"\n' for symbol in ("K_PP", "K_OO"))
     priors = f'considered = ["K_PP", "K_OO"]\n[model.priors]\n{known}'
-    asked = model_section("K_F", "K_I", "K_II", "delta_O", more=priors)
+    model_section_result = model_section("K_F", "K_I", "K_II", "delta_O", more=priors)
     k_ii = (
-        write_and_calibrate(tmp_path, asked, tumble_runs(values))
+        write_and_calibrate(tmp_path, model_section_result, tumble_runs(values))
         .accelerometers["A"]
         .coefficients["K_II"]
     )
@@ -304,10 +314,10 @@ def test_missing_term_has_single_finding(tmp_path):
     result = write_and_calibrate(
         tmp_path, model_section("K_F", "K_I", "K_II"), arm_runs(test, values)
     )
-    (found,) = result.findings
-    assert found.code == "lack-of-fit"
-    assert "follow K_III, more than the model allows" in found.text
-    assert found.text.endswith("24 of 24 readings on the arm deviate from the model.")
+    (finding,) = result.findings
+    assert finding.code == "lack-of-fit"
+    assert "follow K_III, more than the model allows" in finding.text
+    assert finding.text.endswith("24 of 24 readings on the arm deviate from the model.")
 
 
 def test_default_model_of_tumble_includes_misalignment(tmp_path):
@@ -665,7 +675,7 @@ def calibrate_hand_set_positions(folder, repeats, sigma, setting_sd, seed):
             for name, (axis, pendulous) in TRIAD.items():
                 axes = [body @ direction_vector(axis), body @ direction_vector(pendulous)]
                 axes.append(np.cross(*axes))
-                felt = [vertical @ off @ one for one in axes]
+                felt = [vertical @ off @ ax for ax in axes]
                 value = float(np.dot(truth[name], [1.0, felt[0], felt[1], -felt[2]]))
                 value += sigma * float(rng.standard_normal())
                 read.append(f'{name} = "{value!r} ± {sigma!r} g"')
@@ -673,7 +683,7 @@ def calibrate_hand_set_positions(folder, repeats, sigma, setting_sd, seed):
                 at = 4 * [*TRIAD].index(name)
                 row[at : at + 4] = [
                     1.0,
-                    *(vertical @ one for one in axes[:2]),
+                    *(vertical @ ax for ax in axes[:2]),
                     -(vertical @ axes[2]),
                 ]
                 rows.append(row)
@@ -695,12 +705,12 @@ def calibrate_hand_set_positions(folder, repeats, sigma, setting_sd, seed):
 
 
 def estimates(result):
-    found = [
+    coefficients = [
         result.accelerometers[name].coefficients[symbol]
         for name in TRIAD
         for symbol in ("K_F", "K_I", "delta_O", "delta_P")
     ]
-    return np.array([c.value for c in found]), np.array([c.u for c in found])
+    return np.array([c.value for c in coefficients]), np.array([c.u for c in coefficients])
 
 
 @pytest.mark.parametrize("repeats", [1, 2])

@@ -108,7 +108,7 @@ def test_random_rate_errors_are_in_u(tmp_path, u):
     rng, model = np.random.default_rng(1), make_unknowns(of)
     rates = np.array([r.rate for r in of.readings])
     errors = rng.normal(0.0, 1e-5, (60, rates.size)) / rates
-    assert_good([z_scores(fill_readings(of, rng, rate_errors=one), model) for one in errors])
+    assert_good([z_scores(fill_readings(of, rng, rate_errors=error), model) for error in errors])
 
 
 def test_clock_error_of_20_ppm_is_within_default_u(tmp_path):

@@ -40,7 +40,7 @@ def vibration_means(mounting=UP, amplitude=5.0, bias=0.0):
 def test_means_match_closed_forms(amplitude, bias):
     """Of a0 + A sin wt, a0 being gravity along an upright input axis and the bias acceleration."""
     a0, square = 1.0 + bias, amplitude**2
-    found = vibration_means(amplitude=amplitude, bias=bias)
+    means = vibration_means(amplitude=amplitude, bias=bias)
     closed = {
         "K_F": 1.0,
         "K_I": a0,
@@ -49,12 +49,12 @@ def test_means_match_closed_forms(amplitude, bias):
         "K_4": a0**4 + 3 * a0**2 * square + 3 / 8 * square**2,
         "K_5": a0**5 + 5 * a0**3 * square + 15 / 8 * a0 * square**2,
     }
-    assert {symbol: found[symbol] for symbol in closed} == pytest.approx(closed, rel=1e-13)
+    assert {symbol: means[symbol] for symbol in closed} == pytest.approx(closed, rel=1e-13)
 
 
 @pytest.mark.parametrize("amplitude", [0.7, 3.0])
 def test_means_of_kinked_products_match_quadrature(amplitude):
-    found = vibration_means(amplitude=amplitude, bias=-0.5)
+    means = vibration_means(amplitude=amplitude, bias=-0.5)
 
     def mean_over_cycle(function):
         start = math.asin(max(-1.0, -0.5 / amplitude))
@@ -64,16 +64,16 @@ def test_means_of_kinked_products_match_quadrature(amplitude):
         )
         return whole[0] / (2 * math.pi)
 
-    assert found["K_OQ"] == pytest.approx(mean_over_cycle(lambda a: a * abs(a)), abs=1e-8)
-    assert found["K_I_asym"] == pytest.approx(0.5 * mean_over_cycle(abs), abs=1e-8)
+    assert means["K_OQ"] == pytest.approx(mean_over_cycle(lambda a: a * abs(a)), abs=1e-8)
+    assert means["K_I_asym"] == pytest.approx(0.5 * mean_over_cycle(abs), abs=1e-8)
 
 
 def test_vibration_acts_along_level_input_axis():
     """Gravity acts along the output axis, and the vibration along the input axis alone."""
     level = Mounting.from_axes([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    found = vibration_means(level, amplitude=4.0)
+    means = vibration_means(level, amplitude=4.0)
     expected = {"K_I": 0.0, "K_II": 8.0, "K_OO": 1.0, "K_IO": 0.0, "delta_P": -1.0, "K_III": 0.0}
-    assert {symbol: found[symbol] for symbol in expected} == pytest.approx(expected, abs=1e-12)
+    assert {symbol: means[symbol] for symbol in expected} == pytest.approx(expected, abs=1e-12)
 
 
 def vibration_runs(u_amplitude=0.0, reading="? ± 2e-6 mA"):
@@ -140,9 +140,9 @@ def test_amplitude_error_of_1_percent_is_in_u_of_rectification(tmp_path):
     )
     simulate(tmp_path, tmp_path / "simulated")
     result = calibrate(tmp_path / "simulated")
-    found = result.accelerometers["A"].coefficients["K_II"]
-    assert found.value == pytest.approx(2e-5 * 1.01**2, abs=5e-7)
-    assert abs(found.value - 2e-5) < 3.0 * found.u
+    k_ii = result.accelerometers["A"].coefficients["K_II"]
+    assert k_ii.value == pytest.approx(2e-5 * 1.01**2, abs=5e-7)
+    assert abs(k_ii.value - 2e-5) < 3.0 * k_ii.u
 
 
 def test_table_and_runs_return_same_result(tmp_path):

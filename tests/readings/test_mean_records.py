@@ -47,8 +47,8 @@ def make_arm_campaign(
 
 
 def coefficient_errors(result):
-    found = {symbol: result.coefficient(f"A.{symbol}") for symbol in TRUTH}
-    return {symbol: (c.value - TRUTH[symbol], c.u) for symbol, c in found.items()}
+    coefficients = {symbol: result.coefficient(f"A.{symbol}") for symbol in TRUTH}
+    return {symbol: (c.value - TRUTH[symbol], c.u) for symbol, c in coefficients.items()}
 
 
 @pytest.mark.parametrize("off", [1e-2, -1e-3])
@@ -65,13 +65,15 @@ def test_u_covers_noise_ripple_and_drift():
     """In 20 campaigns; u of means allows for a wander of the level: up to 1.5 times too large."""
     trials = 20
     results = [cs.calibrate(make_arm_campaign(seed, 1e-2)) for seed in range(trials)]
-    z = np.array([[error / u for error, u in coefficient_errors(one).values()] for one in results])
+    z = np.array(
+        [[error / u for error, u in coefficient_errors(result).values()] for result in results]
+    )
     assert np.abs(z[:, 1]).max() < 3.0
     rms = np.sqrt(np.mean(z**2, axis=0))
     assert (rms < 1.0 + 3.0 / math.sqrt(2.0 * trials)).all()
     assert (rms > 1.0 / 1.9 - 3.0 / math.sqrt(2.0 * trials) / 1.9).all()
-    assert all(one.state == "reservations" for one in results)
-    assert {finding.code for one in results for finding in one.findings} == {"time-base"}
+    assert all(result.state == "reservations" for result in results)
+    assert {finding.code for result in results for finding in result.findings} == {"time-base"}
 
 
 def test_rates_and_means_scatter_by_their_noise():
@@ -80,9 +82,9 @@ def test_rates_and_means_scatter_by_their_noise():
     head = DESCRIPTION_HEAD.replace('specific_force = { column = "f", unit = "g" }\n', "")
     records = head.index("[records]"), head.index("[accelerometers")
     for seed in range(trials):
-        one, text = make_arm_campaign(seed, 1e-2), head[: records[0]] + head[records[1] :]
-        for reading in one.readings:
-            averaged = average_record(one, reading)
+        arm_campaign, text = make_arm_campaign(seed, 1e-2), head[: records[0]] + head[records[1] :]
+        for reading in arm_campaign.readings:
+            averaged = average_record(arm_campaign, reading)
             value, u = averaged.reading.value, 1e-4 / math.sqrt(averaged.mean.samples)
             side = 1 if reading.name.startswith("in") else -1
             calibrate_with_clock = format_arm_run(
@@ -97,8 +99,8 @@ def test_rates_and_means_scatter_by_their_noise():
 
 
 def test_deviating_rate_is_named():
-    one = make_arm_campaign(2, 0.0)
-    result = cs.calibrate(with_stated_rate(one, "9.3 rad/s"))
+    arm_campaign = make_arm_campaign(2, 0.0)
+    result = cs.calibrate(with_stated_rate(arm_campaign, "9.3 rad/s"))
     (finding,) = result.findings
     rate = math.sqrt(9.0 * GRAVITY / RADIUS)
     assert finding.code == "other-rate"
@@ -108,7 +110,7 @@ def test_deviating_rate_is_named():
         "The fit uses the recorded angle."
     )
     assert measured == pytest.approx(rate, rel=1e-3)
-    assert cs.calibrate(one).state == "good"
+    assert cs.calibrate(arm_campaign).state == "good"
 
 
 def with_stated_rate(one, rate):
@@ -164,9 +166,11 @@ def test_recorder_clock_affects_rates_from_angle():
     fast = 1.0 + 20e-6
 
     def calibrate_with_clock(head):
-        one = make_arm_campaign(5, 0.0, head=head, noise=1e-6, **STEADY)
-        frames = {name: {**f, "t": f["t"] * fast} for name, f in record_columns(one).items()}
-        return cs.calibrate(one.change({}, records=frames))
+        arm_campaign = make_arm_campaign(5, 0.0, head=head, noise=1e-6, **STEADY)
+        frames = {
+            name: {**f, "t": f["t"] * fast} for name, f in record_columns(arm_campaign).items()
+        }
+        return cs.calibrate(arm_campaign.change({}, records=frames))
 
     for clock, missing, u_clock in (("0 ± 20 ppm", 20e-6, 20e-6), ("20 ± 1 ppm", 0.0, 1e-6)):
         stated = DESCRIPTION_HEAD.replace("[records]", f'[records]\nclock = "{clock}"')
@@ -183,9 +187,11 @@ def record_columns(one):
 
 
 def test_stated_rate_is_used_without_angle_column():
-    one = make_arm_campaign(6, 0.0, **STEADY)
-    frames = {name: {c: f[c] for c in ("t", "f")} for name, f in record_columns(one).items()}
-    result = cs.calibrate(one.change({}, records=frames))
+    arm_campaign = make_arm_campaign(6, 0.0, **STEADY)
+    frames = {
+        name: {c: f[c] for c in ("t", "f")} for name, f in record_columns(arm_campaign).items()
+    }
+    result = cs.calibrate(arm_campaign.change({}, records=frames))
     (warning,) = [text for text in result.warnings if "no angle" in text]
     assert warning.startswith("The records of in 1, in 4, in 6, in 9, in 15, out 1")
     assert calibrated_readings(result)[0].rate == math.sqrt(GRAVITY / RADIUS)

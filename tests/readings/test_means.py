@@ -31,10 +31,10 @@ def mean_record(source, rate):
 def test_harmonics_of_revolution_cancel_in_mean(tmp_path):
     rate, t = 3.0, np.arange(0.0, 7.3, 0.013)
     wave = 0.7 * np.cos(rate * t + 1.0) + 0.1 * np.sin(2 * rate * t)
-    found = mean_record(write_record(tmp_path, t, 5.0 + wave), rate)
-    assert found.value == pytest.approx(10.0, abs=1e-12)
-    assert found.revolutions == 3
-    assert found.samples == math.ceil(3 * 2 * math.pi / rate / 0.013)
+    mean_result = mean_record(write_record(tmp_path, t, 5.0 + wave), rate)
+    assert mean_result.value == pytest.approx(10.0, abs=1e-12)
+    assert mean_result.revolutions == 3
+    assert mean_result.samples == math.ceil(3 * 2 * math.pi / rate / 0.013)
 
 
 def test_u_covers_scatter_of_means(tmp_path):
@@ -45,8 +45,8 @@ def test_u_covers_scatter_of_means(tmp_path):
         covered = 0
         for _ in range(trials):
             noise = np.convolve(rng.normal(0.0, 1.0, t.size), np.ones(width) / width, "same")
-            found = mean_record(make_table(t, noise), 2.0 * math.pi)
-            covered += abs(found.value) < 2.0 * found.u
+            mean_result = mean_record(make_table(t, noise), 2.0 * math.pi)
+            covered += abs(mean_result.value) < 2.0 * mean_result.u
         assert covered > trials * 0.95 - 4.0 * math.sqrt(trials * 0.95 * 0.05)
 
 
@@ -60,12 +60,12 @@ def test_rare_outliers_do_not_change_mean(rate, size):
     f += 0.01 * np.cos(rate * t) if rate else 0.0
     clean = mean_record(make_table(t, f), rate)
     f[500::1000] += size * 1e-3
-    found = mean_record(make_table(t, f), rate)
-    assert abs(found.value - clean.value) < 0.1 * clean.u
-    assert found.u == pytest.approx(clean.u, rel=0.1)
-    left_out = found.report.outliers["f"]
+    mean_result = mean_record(make_table(t, f), rate)
+    assert abs(mean_result.value - clean.value) < 0.1 * clean.u
+    assert mean_result.u == pytest.approx(clean.u, rel=0.1)
+    left_out = mean_result.report.outliers["f"]
     assert left_out - clean.report.outliers["f"] == 20
-    assert f"{left_out} outliers in column 'f' were rejected." in found.report.notes()
+    assert f"{left_out} outliers in column 'f' were rejected." in mean_result.report.notes()
 
 
 def test_single_gross_outlier_is_rejected(tmp_path):
@@ -73,10 +73,10 @@ def test_single_gross_outlier_is_rejected(tmp_path):
     t, f = np.arange(1000) * 0.01, 4.5 + rng.normal(0.0, 5e-5, 1000)
     f[400] = 450.0
     for source in (write_record(tmp_path, t, f), make_table(t, f)):
-        found = mean_record(source, 0.0)
-        assert found.value == pytest.approx(9.0, abs=1e-5)
-        assert found.u < 1e-5
-        assert found.report.outliers == {"f": 1}
+        mean_result = mean_record(source, 0.0)
+        assert mean_result.value == pytest.approx(9.0, abs=1e-5)
+        assert mean_result.u < 1e-5
+        assert mean_result.report.outliers == {"f": 1}
 
 
 def test_dropout_is_rejected():
@@ -84,10 +84,10 @@ def test_dropout_is_rejected():
     t, f = np.arange(20_000) * 0.01, 4.5 + rng.normal(0.0, 1e-3, 20_000)
     f[7000:7200] = 0.0
     for rate in (0.0, 6.0):
-        found = mean_record(make_table(t, f), rate)
-        assert found.value == pytest.approx(9.0, abs=5.0 * found.u)
-        assert found.u < 1e-4
-        assert 200 <= found.report.outliers["f"] <= 400
+        mean_result = mean_record(make_table(t, f), rate)
+        assert mean_result.value == pytest.approx(9.0, abs=5.0 * mean_result.u)
+        assert mean_result.u < 1e-4
+        assert 200 <= mean_result.report.outliers["f"] <= 400
 
 
 def test_repeated_rows_gaps_and_empty_cells_are_counted(tmp_path):
@@ -97,13 +97,13 @@ def test_repeated_rows_gaps_and_empty_cells_are_counted(tmp_path):
     f[[10, 20]] = np.nan
     t, f = np.insert(t, 300, t[299]), np.insert(f, 300, f[299])
     for source in (write_record(tmp_path, t, f), make_table(t, f)):
-        found = mean_record(source, 0.0)
-        report = found.report
+        mean_result = mean_record(source, 0.0)
+        report = mean_result.report
         assert (report.rows, report.repeated, report.differing, report.gap_count) == (1001, 1, 0, 1)
         assert report.empty["f"] == 2
         assert report.gaps[0].length == pytest.approx(5.01)
-        assert found.samples == 998
-        assert found.value == pytest.approx(9.0, abs=5.0 * found.u)
+        assert mean_result.samples == 998
+        assert mean_result.value == pytest.approx(9.0, abs=5.0 * mean_result.u)
 
 
 def test_nonuniform_time_stamps_are_accepted():
@@ -112,10 +112,10 @@ def test_nonuniform_time_stamps_are_accepted():
     wave = 0.3 * np.cos(3.0 * t) + 0.05 * np.sin(6.0 * t)
     noise = rng.normal(0.0, 1e-3, t.size)
     for rate, f in ((0.0, 5.0 + noise), (3.0, 5.0 + wave + noise)):
-        found = mean_record(make_table(t, f), rate)
-        assert found.value == pytest.approx(10.0, abs=4.0 * found.u)
-        assert found.u == pytest.approx(2e-3 / math.sqrt(found.samples), rel=1.0)
-        assert not found.report.outliers["f"]
+        mean_result = mean_record(make_table(t, f), rate)
+        assert mean_result.value == pytest.approx(10.0, abs=4.0 * mean_result.u)
+        assert mean_result.u == pytest.approx(2e-3 / math.sqrt(mean_result.samples), rel=1.0)
+        assert not mean_result.report.outliers["f"]
 
 
 def test_records_of_same_samples_have_same_digest(tmp_path):
@@ -225,8 +225,8 @@ def test_u_covers_mean_of_next_record(noise, least):
 
 def test_u_of_white_noise_is_at_most_60_percent_too_large():
     rng = np.random.default_rng(2)
-    found = [u_of_mean(rng.normal(size=STRETCHES)) for _ in range(TRIALS)]
-    assert 1.0 < np.median(found) * math.sqrt(STRETCHES) < 1.6
+    u_of_mean_results = [u_of_mean(rng.normal(size=STRETCHES)) for _ in range(TRIALS)]
+    assert 1.0 < np.median(u_of_mean_results) * math.sqrt(STRETCHES) < 1.6
 
 
 def test_u_is_proportional_to_scale_and_independent_of_level():

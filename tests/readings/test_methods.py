@@ -53,13 +53,13 @@ def test_single_kind_matches_campaign_of_that_kind(campaign_of_three_kinds, join
 
 def test_omitted_kind_matches_campaign_without_it(campaign_of_three_kinds, joint_result):
     a = joint_result.accelerometers["A"]
-    rest = next(k for k in a.kinds if k.kind == "at rest")
+    ks = next(k for k in a.kinds if k.kind == "at rest")
     without = (
         campaign_of_three_kinds.calibrated(["double turntable", "arm"])
         .accelerometers["A"]
         .coefficients
     )
-    for symbol, shift in rest.without.items():
+    for symbol, shift in ks.without.items():
         whole, other = a.coefficients[symbol], without[symbol]
         assert shift.shift == pytest.approx(other.value - whole.value, abs=1e-3 * whole.u)
         # Considered is the radius alone, and it moves both alike.

@@ -42,15 +42,15 @@ def score_columns(test, values, u, terms=LEVEL):
     own = make_readings(test, values, u)
     problem = make_model(terms)
     fit = solve_readings([own], problem)
-    (told,) = fit.groups
+    (actual_group,) = fit.groups
     estimated = u is None
     group = ResidualGroup(
         own,
         0,
-        told.sigma,
+        actual_group.sigma,
         np.ones(own.size),
-        told.noise_dof if estimated else told.chi2,
-        told.noise_dof if estimated else told.residual_dof,
+        actual_group.noise_dof if estimated else actual_group.chi2,
+        actual_group.noise_dof if estimated else actual_group.residual_dof,
         estimated,
         0.0,
     )
@@ -70,17 +70,17 @@ def test_head_angle_is_zero_with_input_axis_up():
 def test_opposite_sense_column_is_change_of_coriolis_force():
     """By 4 R w Omega sin L, of opposite signs inward and outward; not where an angle shows it."""
     test = make_arm_test()
-    one = make_readings(test, np.zeros(len(test[0])), 1e-6)
+    readings = make_readings(test, np.zeros(len(test[0])), 1e-6)
     (column,) = (
         other.columns[0]
-        for other in candidate_columns(one, 0, {"K_I"}, set())
+        for other in candidate_columns(readings, 0, {"K_I"}, set())
         if other.kind == REVERSED
     )
-    rates = one.stations.rate
-    side = np.array([1.0 if name == "inward" else -1.0 for name in one.mountings])
+    rates = readings.stations.rate
+    side = np.array([1.0 if name == "inward" else -1.0 for name in readings.mountings])
     expected = -4.0 * side * rates * 7.292115e-5 * math.sin(0.8) / 9.80665
     np.testing.assert_allclose(column, expected, rtol=1e-9)
-    shown = replace(one, stated_sense=0.0)
+    shown = replace(readings, stated_sense=0.0)
     assert not any(other.kind == REVERSED for other in candidate_columns(shown, 0, {"K_I"}, set()))
 
 
@@ -169,16 +169,16 @@ def test_gain_matches_fit_with_column():
     test, truth = make_tumble(24), {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5, "K_II": 15e-6}
     values = simulate_readings(test, np.random.default_rng(2), 2e-6, truth=truth)
     joint, group, columns = score_columns(test, values, 2e-6)
-    (found,) = best_patterns(joint, [group], [columns])
-    assert found.alternatives[0].symbol == "cos 2 phi"
-    assert {"K_II", "K_PP"} <= {other.symbol for other in found.alternatives}
+    (actual_best_pattern,) = best_patterns(joint, [group], [columns])
+    assert actual_best_pattern.alternatives[0].symbol == "cos 2 phi"
+    assert {"K_II", "K_PP"} <= {other.symbol for other in actual_best_pattern.alternatives}
     with_term = solve_readings([make_readings(test, values, 2e-6)], make_model((*LEVEL, "K_II")))
     gain = group.chi2 - with_term.groups[0].chi2
-    assert found.p == pytest.approx(2.0 * stats.norm.sf(math.sqrt(gain)), rel=1e-3)
+    assert actual_best_pattern.p == pytest.approx(2.0 * stats.norm.sf(math.sqrt(gain)), rel=1e-3)
     estimated, own, columns = score_columns(test, values, None)
-    (found,) = best_patterns(estimated, [own], [columns])
+    (actual_best_pattern,) = best_patterns(estimated, [own], [columns])
     f = gain / (with_term.groups[0].chi2 / (24 - 4))
-    assert found.p == pytest.approx(stats.f.sf(f, 1, 24 - 4), rel=1e-3)
+    assert actual_best_pattern.p == pytest.approx(stats.f.sf(f, 1, 24 - 4), rel=1e-3)
 
 
 @pytest.mark.slow
@@ -196,9 +196,9 @@ def test_false_alarm_rate_matches_significance(u):
         joint, group, columns = score_columns(
             make_tumble(), simulate_readings(make_tumble(), rng, 2e-6, truth=truth), u
         )
-        (found,) = best_patterns(joint, [group], [columns])
-        assert 8 <= found.tests <= len(columns)
-        blamed += found.p * found.tests < 0.05
+        (actual_best_pattern,) = best_patterns(joint, [group], [columns])
+        assert 8 <= actual_best_pattern.tests <= len(columns)
+        blamed += actual_best_pattern.p * actual_best_pattern.tests < 0.05
     assert blamed <= most
 
 
@@ -233,6 +233,6 @@ def test_wave_is_found_by_sine_and_cosine_jointly():
         (1e-5 * (np.cos(2.0 * angle + 0.7) + np.cos(3.0 * angle - 0.4)), "2 phi and 3 phi"),
     ):
         joint, group, columns = score_columns(make_tumble(), exact + wave, None)
-        (found,) = best_patterns(joint, [group], [columns])
-        assert [other.symbol for other in found.alternatives] == [f"waves of {turns}"]
-        assert found.p * found.tests < 1e-3
+        (actual_best_pattern,) = best_patterns(joint, [group], [columns])
+        assert [other.symbol for other in actual_best_pattern.alternatives] == [f"waves of {turns}"]
+        assert actual_best_pattern.p * actual_best_pattern.tests < 1e-3

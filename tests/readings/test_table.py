@@ -117,17 +117,17 @@ def test_mounting_columns_are_separate_readings(tmp_path):
 
 def test_invalid_mounting_columns_raise(tmp_path):
     table = "n,plus,minus,u\n6,5,-5,2e-6\n"
-    (said,) = read_problems(tmp_path, table, BESIDE.replace('"minus"', '"minos"'))
-    assert said == 'readings.columns: r.csv has no column "minos"; did you mean "minus"?'
-    said = "readings.mountings: give `reading` for every mounting"
+    (problem,) = read_problems(tmp_path, table, BESIDE.replace('"minus"', '"minos"'))
+    assert problem == 'readings.columns: r.csv has no column "minos"; did you mean "minus"?'
+    problem = "readings.mountings: give `reading` for every mounting"
     for slip in (
         BESIDE.replace(', reading = "minus"', ""),
         BESIDE.replace('u = "u"', 'u = "u", reading = "plus"'),
     ):
-        assert read_problems(tmp_path, table, slip)[0].startswith(said)
+        assert read_problems(tmp_path, table, slip)[0].startswith(problem)
     rows = "n,plus,minus,u\nrad/s,mA,V,mA\n6,5,-5,2e-6\n7,6,-6,2e-6\n8,6,-6,2e-6\n"
-    (said,) = read_problems(tmp_path, rows, BESIDE)
-    assert said.endswith(
+    (problem,) = read_problems(tmp_path, rows, BESIDE)
+    assert problem.endswith(
         'column "minus" is in V according to the units row, but in mA according to the description'
     )
 
@@ -136,8 +136,8 @@ def test_sense_of_row_overrides_sense_of_table(tmp_path):
     keys = 'sense = "clockwise"\n' + ARM.replace("columns = {", 'columns = { sense = "s",')
     table = "n,side,s,mA\n6,innen,CCW,5\n6,innen,cw,5\n6,innen,,5\n0,innen,,0\n"
     assert [one.rate for one in read_csv_table(tmp_path, table, keys)] == [6.0, -6.0, -6.0, 0.0]
-    (said,) = read_problems(tmp_path, table.replace("CCW", "left"), keys)
-    assert said.startswith(
+    (problem,) = read_problems(tmp_path, table.replace("CCW", "left"), keys)
+    assert problem.startswith(
         "readings.\"r.csv line 2\".sense: 'left' is not one of counterclockwise,"
     )
 
@@ -151,15 +151,15 @@ def test_footer_lines_are_not_readings(tmp_path):
 
 def test_dot_in_mounting_name_is_removed(tmp_path):
     keys = ARM.replace("innen =", '"Pos 1" =').replace("hinten =", '"22,5" =')
-    found = read_csv_table(tmp_path, "n,side,mA\n6,Pos. 1,5\n6,22.5,0\n", keys)
-    assert [one.mounting for one in found] == ["Pos 1", "22,5"]
+    csv_table = read_csv_table(tmp_path, "n,side,mA\n6,Pos. 1,5\n6,22.5,0\n", keys)
+    assert [one.mounting for one in csv_table] == ["Pos 1", "22,5"]
 
 
 def test_merged_cell_repeats_mounting(tmp_path):
     table = "n,side,mA\n6,innen,5\n6,,5\n\n6,hinten,0\n6,,0\n"
-    found = read_csv_table(tmp_path, table, "merged = true\n" + ARM)
-    assert [one.mounting for one in found] == ["innen", "innen", "hinten", "hinten"]
-    assert found[1].axes == found[0].axes
+    csv_table = read_csv_table(tmp_path, table, "merged = true\n" + ARM)
+    assert [one.mounting for one in csv_table] == ["innen", "innen", "hinten", "hinten"]
+    assert csv_table[1].axes == csv_table[0].axes
     assert len(read_problems(tmp_path, table, ARM)) == 2
 
 
@@ -254,9 +254,9 @@ GERMAN_KEYS = (
 def test_table_layout_is_detected_or_stated(tmp_path, said):
     """Lines before the names and a row of units are found, as in records, or said."""
     (tmp_path / "r.csv").write_bytes(GERMAN.replace("uA", "mA").encode("latin-1"))
-    found = read(tmp_path, f'[readings]\nfile = "r.csv"\n{GERMAN_KEYS}{said}').readings
-    assert [reading.name for reading in found] == ["P1", "P2", "P3"]
-    assert [reading.value * 1.25 for reading in found] == pytest.approx([1250.5, 0.5, -1249.5])
+    readings = read(tmp_path, f'[readings]\nfile = "r.csv"\n{GERMAN_KEYS}{said}').readings
+    assert [reading.name for reading in readings] == ["P1", "P2", "P3"]
+    assert [reading.value * 1.25 for reading in readings] == pytest.approx([1250.5, 0.5, -1249.5])
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "utf-8", "utf-16"])
@@ -266,10 +266,10 @@ def test_text_is_decoded_in_all_encodings(tmp_path, encoding):
     keys = GERMAN_KEYS.replace('encoding = "latin-1"\n', "").replace(
         'reading = "Strom"', 'reading = "Strom", temperature = "Temp"'
     )
-    found = read(tmp_path, f'[readings]\nfile = "r.csv"\n{keys}').readings
-    assert [reading.name for reading in found] == ["außen", "über Kopf"]
+    readings = read(tmp_path, f'[readings]\nfile = "r.csv"\n{keys}').readings
+    assert [reading.name for reading in readings] == ["außen", "über Kopf"]
     # The row of units is one, temperatures among them, and no reading.
-    assert [reading.temperature for reading in found] == [(294.65,), (295.15,)]  # K
+    assert [reading.temperature for reading in readings] == [(294.65,), (295.15,)]  # K
 
 
 @pytest.mark.parametrize("temperature", ["1e4", "1e18", "-300", "1e18 K"])

@@ -35,14 +35,14 @@ def test_result_equals_result_from_file(example_folder, reading_table, descripti
     mapping = reading_table.to_dict(as_series=False)
     for frame in (reading_table, pd.DataFrame(mapping), mapping):
         campaign = cs.make_campaign(description_text, readings=frame)
-        found = cs.calibrate(campaign)
+        result = cs.calibrate(campaign)
         for name, accelerometer in own.accelerometers.items():
-            assert found.accelerometers[name].coefficients == accelerometer.coefficients
-    assert list(found.provenance.inputs) == ["campaign.toml"]
+            assert result.accelerometers[name].coefficients == accelerometer.coefficients
+    assert list(result.provenance.inputs) == ["campaign.toml"]
     campaign.write(tmp_path / "written")
     again = cs.calibrate(tmp_path / "written")
-    assert again.accelerometers == found.accelerometers
-    assert again.provenance.inputs == found.provenance.inputs
+    assert again.accelerometers == result.accelerometers
+    assert again.provenance.inputs == result.provenance.inputs
 
 
 def test_errors_name_row(reading_table, description_text):

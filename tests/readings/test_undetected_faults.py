@@ -79,9 +79,9 @@ def test_undetected_fault_has_stated_shift(tmp_path, pattern, fault):
     usual = calibrate_tumble(tmp_path / "usual")
     stated = usual.accelerometers["A"].unseen_faults
     (said,) = (
-        found
+        match
         for clause in stated
-        if (found := re.search(rf"{pattern} shifts (\w+) by ([\d.e-]+) (\S+) \(([\d.]+) ", clause))
+        if (match := re.search(rf"{pattern} shifts (\w+) by ([\d.e-]+) (\S+) \(([\d.]+) ", clause))
     )
     size, where, symbol, shift, unit, times = said.groups()
     # At the size that is stated noise decides whether it is seen.
@@ -146,8 +146,8 @@ def test_wrong_sense_hidden_by_noise_is_unseen_fault(tmp_path):
     a, b = (one.accelerometers["A"] for one in (right, wrong))
     for own, other in ((a, b), (b, a)):
         (clause,) = (text for text in own.unseen_faults if "opposite to the stated sense" in text)
-        found = re.search(r"shifts K_I by ([\d.e-]+) g/g \(([\d.]+) ", clause)
-        shift, times = map(float, found.groups())
+        match = re.search(r"shifts K_I by ([\d.e-]+) g/g \(([\d.]+) ", clause)
+        shift, times = map(float, match.groups())
         moved = abs(own.coefficients["K_I"].value - other.coefficients["K_I"].value)
         assert moved == pytest.approx(shift, rel=0.05)
         assert moved / own.coefficients["K_I"].u == pytest.approx(times, rel=0.05)

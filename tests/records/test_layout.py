@@ -183,8 +183,8 @@ def test_multiple_spaces_are_one_delimiter():
 
 
 def test_lines_without_table_are_described():
-    told = describe_lines([(1, "Test 12"), (2, ""), (3, "a;1,5;x")])
-    assert told.splitlines() == [
+    lines = describe_lines([(1, "Test 12"), (2, ""), (3, "a;1,5;x")])
+    assert lines.splitlines() == [
         "  line 1: 2 cells, 1 a number: Test 12",
         "  line 3: 3 cells, 1 a number: a;1,5;x",
     ]

@@ -118,8 +118,8 @@ def test_last_window_uses_remaining_noise(tmp_path):
     columns[SIGNAL][np.arange(5, 880, 12)] += 3.0
     columns[SIGNAL][[930, 980]] += 0.12
     record = read_written_record(write_record(tmp_path / "run.parquet", columns), block=None)
-    found = [outlier.row - 1 for outlier in record.report.listed]
-    assert found == [*range(5, 880, 12), 930, 980]
+    rows = [outlier.row - 1 for outlier in record.report.listed]
+    assert rows == [*range(5, 880, 12), 930, 980]
 
 
 @settings(max_examples=50, deadline=None)

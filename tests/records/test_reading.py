@@ -98,11 +98,11 @@ def test_values_repeated_by_faster_log_are_used_once(tmp_path, rows, step):
     columns[SIGNAL] = columns[SIGNAL][first]
     record = read_written_record(write_record(tmp_path / "run.csv", columns))
     part = 1.0 - len(np.unique(first)) / len(first)
-    told = (
+    text = (
         f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of its values; repeated values are "
         "not used"
     )
-    assert told in record.report.format_description
+    assert text in record.report.format_description
     assert record.report.empty[SIGNAL] == 0
     good = np.isfinite(record.signals["Qx"])
     angle = record.angle[good]
@@ -136,8 +136,8 @@ def test_isolated_rows_are_omitted(tmp_path, end, dense):
     columns[ANGLE] = RATE * columns[TIME]
     columns[SIGNAL][lone] += 0.4
     record = read_written_record(write_record(tmp_path / "run.parquet", columns))
-    rest = {name: np.delete(values, lone) for name, values in columns.items()}
-    without = read_written_record(write_record(tmp_path / "rest.parquet", rest))
+    deletes = {name: np.delete(values, lone) for name, values in columns.items()}
+    without = read_written_record(write_record(tmp_path / "rest.parquet", deletes))
     assert record.report.isolated == len(lone)
     assert "from the others by a gap" in " ".join(record.report.notes())
     assert record.report.rows == n

@@ -77,8 +77,8 @@ def test_blocks_of_damaged_record_have_normal_residuals(tmp_path):
     assert (np.diff(record.time) > 0).all()
     # Mean of R cos over a block, to second order in its spread; the parabola likewise.
     middle = RADIUS * np.cos(record.angle) * (1 - (RATE * record.time_sd) ** 2 / 2)
-    rest = record.signals["Qx"] - middle - 1e-3 * (record.time**2 + record.time_sd**2)
-    normal = rest * np.sqrt(record.count) / 0.01
+    qx = record.signals["Qx"] - middle - 1e-3 * (record.time**2 + record.time_sd**2)
+    normal = qx * np.sqrt(record.count) / 0.01
     assert np.nanmax(np.abs(normal)) < 6
     assert np.nanstd(normal) == pytest.approx(1.0, abs=0.05)
 
@@ -112,9 +112,9 @@ def test_result_does_not_depend_on_batch_size(tmp_path_factory, batch, seed):
     path = tmp_path_factory.mktemp("batches") / "run.parquet"
     frame = pl.DataFrame(columns)
     frame.write_parquet(path, row_group_size=max(batch, 2000))
-    one = read_written_record(path)
+    written_record = read_written_record(path)
     frame.write_parquet(path)
     other = read_written_record(path)
-    np.testing.assert_array_equal(one.time, other.time)
-    np.testing.assert_array_equal(one.signals["Qx"], other.signals["Qx"])
-    assert one.report == other.report
+    np.testing.assert_array_equal(written_record.time, other.time)
+    np.testing.assert_array_equal(written_record.signals["Qx"], other.signals["Qx"])
+    assert written_record.report == other.report

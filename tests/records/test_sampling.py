@@ -23,11 +23,11 @@ def repeat_samples(values, ratio):
 def test_samples_behind_repeated_values_are_found(ratio):
     values = white_noise(2000)
     logged = repeat_samples(values, ratio)
-    found = SensorSamples.of(np.arange(len(logged)) * STEP, logged)
-    assert np.array_equal(found.values, values[: len(found.values)])
-    assert len(found.values) >= 1999
-    assert found.repeated == len(logged) - len(found.values)
-    steps = np.diff(found.time)
+    samples = SensorSamples.of(np.arange(len(logged)) * STEP, logged)
+    assert np.array_equal(samples.values, values[: len(samples.values)])
+    assert len(samples.values) >= 1999
+    assert samples.repeated == len(logged) - len(samples.values)
+    steps = np.diff(samples.time)
     assert steps.max() - steps.min() < 1e-9
     assert steps.mean() == pytest.approx(ratio * STEP, rel=2e-3)
 
@@ -42,8 +42,8 @@ def test_equal_samples_by_chance_are_not_repeats(resolution):
 
 def test_coarse_sensor_in_faster_log_is_thinned_or_raises():
     values = np.round(white_noise(4000) / 1e-3) * 1e-3
-    found = SensorSamples.of(np.arange(12000) * STEP, repeat_samples(values, 3.0))
-    assert np.array_equal(found.values, values)
+    samples = SensorSamples.of(np.arange(12000) * STEP, repeat_samples(values, 3.0))
+    assert np.array_equal(samples.values, values)
     with pytest.raises(ValueError, match="too coarse to tell"):
         SensorSamples.of(np.arange(10000) * STEP, repeat_samples(values, 2.5))
 
@@ -52,10 +52,10 @@ def test_coarse_sensor_in_faster_log_is_thinned_or_raises():
 def test_rows_with_repeated_time_stamps_are_counted(burst):
     """All samples of a packet have the time stamp of the packet."""
     values, row = white_noise(4001), np.arange(4001)
-    found = SensorSamples.of(np.floor(row / burst) * burst * STEP, values)
-    assert found.restamped > 0.4 * 4001
-    assert np.array_equal(found.values, values)
-    assert np.diff(found.time) == pytest.approx(STEP, rel=1e-2)
+    samples = SensorSamples.of(np.floor(row / burst) * burst * STEP, values)
+    assert samples.restamped > 0.4 * 4001
+    assert np.array_equal(samples.values, values)
+    assert np.diff(samples.time) == pytest.approx(STEP, rel=1e-2)
 
 
 def test_lost_or_equal_samples_leave_gaps_in_time():
@@ -63,8 +63,8 @@ def test_lost_or_equal_samples_leave_gaps_in_time():
     values[[300, 301, 900]] = values[[299, 299, 899]]
     for ratio in (1.25, 2.5, 7.3):
         logged = repeat_samples(values, ratio)
-        found = SensorSamples.of(np.arange(len(logged)) * STEP, logged)
-        steps = np.diff(found.time) / (ratio * STEP)
+        samples = SensorSamples.of(np.arange(len(logged)) * STEP, logged)
+        steps = np.diff(samples.time) / (ratio * STEP)
         assert np.round(steps).tolist() == [
             3.0 if n == 299 else 2.0 if n == 897 else 1.0 for n in range(len(steps))
         ]
@@ -80,9 +80,9 @@ def test_rows_of_packet_bursts_are_counted(step, lost):
     stamps = (8 * packet + rng.random(1000)[packet]) * STEP + row * step
     keep = ~np.isin(packet, rng.choice(np.arange(1, 999), lost, replace=False))
     values = np.round(white_noise(8000) / 1e-3) * 1e-3  # equal neighbours are no doubled rows
-    found = SensorSamples.of(stamps[keep], values[keep])
-    assert np.array_equal(found.values, values[keep])
-    assert np.median(np.diff(found.time)) == pytest.approx(STEP, rel=2e-3)
+    samples = SensorSamples.of(stamps[keep], values[keep])
+    assert np.array_equal(samples.values, values[keep])
+    assert np.median(np.diff(samples.time)) == pytest.approx(STEP, rel=2e-3)
     if lost:
         with pytest.raises(ValueError, match="samples are missing"):
             estimate_row_rate(stamps[keep])
@@ -101,8 +101,8 @@ def test_gap_is_preserved_with_coarse_clock():
     row = np.arange(20000)
     time = np.floor(row / 1.666) * 1e-3
     keep = (row < 9000) | (row > 10666)
-    found = SensorSamples.of(time[keep], white_noise(20000)[keep])
-    steps = np.diff(found.time)
+    samples = SensorSamples.of(time[keep], white_noise(20000)[keep])
+    steps = np.diff(samples.time)
     assert np.sum(steps > 0.5) == 1
     assert np.median(steps) == pytest.approx(1e-3 / 1.666, rel=1e-3)
 
@@ -120,8 +120,8 @@ def test_rate_of_repeated_samples_tolerates_lost_rows(ratio):
     """Lost rows delay the first row of a sample without changing the sensor rate."""
     logged = repeat_samples(white_noise(3000), ratio)
     keep = np.random.default_rng(4).random(len(logged)) > 0.2
-    found = SensorSamples.of((np.arange(len(logged)) * STEP)[keep], logged[keep])
-    assert np.median(np.diff(found.time)) == pytest.approx(ratio * STEP, rel=6e-3)
+    samples = SensorSamples.of((np.arange(len(logged)) * STEP)[keep], logged[keep])
+    assert np.median(np.diff(samples.time)) == pytest.approx(ratio * STEP, rel=6e-3)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.05, 0.2])
@@ -141,8 +141,8 @@ def test_late_rows_are_not_lost():
     """A clock with a resolution of 1 s stamps rows up to 0.3 s late."""
     late = np.random.default_rng(7).uniform(0.0, 0.3, 12000)
     time = np.floor(np.maximum.accumulate(np.arange(12000) * STEP + late))
-    found = SensorSamples.of(time, white_noise(12000))
-    assert np.median(np.diff(found.time)) == pytest.approx(STEP, rel=0.3 / 120.0)
+    samples = SensorSamples.of(time, white_noise(12000))
+    assert np.median(np.diff(samples.time)) == pytest.approx(STEP, rel=0.3 / 120.0)
 
 
 @pytest.mark.parametrize("mean_delay", [0.2, 1.0])
@@ -171,5 +171,5 @@ def test_packets_with_exponential_delays_determine_rate(mean_delay, lost):
 
 def test_duplicate_rows_count_once():
     again = np.repeat(np.arange(500), 2)
-    found = SensorSamples.of(again * STEP, white_noise(500)[again])
-    assert (len(found.values), found.repeated, found.restamped) == (500, 0, 0)
+    samples = SensorSamples.of(again * STEP, white_noise(500)[again])
+    assert (len(samples.values), samples.repeated, samples.restamped) == (500, 0, 0)

@@ -33,8 +33,8 @@ VALUES = {"A": 1.0, "B": 2.0, "C": 3.0}
     ],
 )
 def test_sensor_columns_are_detected(name, cells, found):
-    told = list(find_sensor_columns({name: cells * 50}))
-    assert told == ([(name, sorted(cells))] if found else [])
+    actual_sensor_columns = list(find_sensor_columns({name: cells * 50}))
+    assert actual_sensor_columns == ([(name, sorted(cells))] if found else [])
 
 
 def test_labels_of_poses_and_states_are_not_sensors():

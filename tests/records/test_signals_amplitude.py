@@ -39,10 +39,10 @@ def test_dropout_is_rejected_and_counted(tmp_path, length, filler):
     dead = slice(1500, 1500 + length)
     columns[SIGNAL][dead] = filler
     record = read_written_record(write_record(tmp_path / "run.csv", columns))
-    found = np.flatnonzero(np.isnan(record.signals["Qx"]))
-    assert set(found) >= set(range(1500, 1500 + length))
-    assert len(found) <= length + 20
-    assert record.report.outliers[SIGNAL] == len(found)
+    flatnonzero = np.flatnonzero(np.isnan(record.signals["Qx"]))
+    assert set(flatnonzero) >= set(range(1500, 1500 + length))
+    assert len(flatnonzero) <= length + 20
+    assert record.report.outliers[SIGNAL] == len(flatnonzero)
 
 
 def test_empty_cell_in_dropout_is_counted_once(tmp_path):

@@ -21,27 +21,27 @@ def fit_profile(values, *, time=T, spec=CELSIUS, **columns):
 
 
 def test_ramp_is_exact():
-    found = fit_profile(20.0 + 0.01 * T)
-    assert len(found) == MAX_KNOTS
+    profile = fit_profile(20.0 + 0.01 * T)
+    assert len(profile) == MAX_KNOTS
     expected = 293.15 + np.linspace(0.0, 0.01 * T[-1], MAX_KNOTS)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(profile, expected, rtol=0, atol=1e-9)
 
 
 def test_slow_wave_is_followed_through_coarse_resolution():
     """A segment of 6.3 s has an error of h^2/12 |T''| = 7 mK, plus 63 mK/sqrt(36) of rounding."""
     true = 25.0 + 5.0 * np.sin(2.0 * np.pi * T / 300.0)
     read = np.where(np.arange(T.size) % 40 == 0, np.round(true * 16.0) / 16.0, np.nan)
-    found = np.array(fit_profile(read)) - 273.15
+    profile = np.array(fit_profile(read)) - 273.15
     at = np.linspace(0.0, T[-1], MAX_KNOTS)
-    assert np.abs(found - 25.0 - 5.0 * np.sin(2.0 * np.pi * at / 300.0)).max() < 0.07
+    assert np.abs(profile - 25.0 - 5.0 * np.sin(2.0 * np.pi * at / 300.0)).max() < 0.07
 
 
 def test_few_values_have_few_knots():
     values = np.full(T.size, np.nan)
     values[::1000] = 20.0 + T[::1000] / 100.0
-    found = fit_profile(values)
-    assert len(found) == 4
-    np.testing.assert_allclose(found, 293.15 + np.linspace(0.0, T[-1] / 100.0, 4), atol=1e-6)
+    profile = fit_profile(values)
+    assert len(profile) == 4
+    np.testing.assert_allclose(profile, 293.15 + np.linspace(0.0, T[-1] / 100.0, 4), atol=1e-6)
 
 
 def test_constant_temperature_is_single_value():
@@ -50,8 +50,8 @@ def test_constant_temperature_is_single_value():
 
 def test_kelvin_profile_covers_time_range():
     kelvin = ColumnSpec("T", unit="K", target_unit="K", kind="temperature")
-    found = fit_profile(280.0 + 0.1 * T, spec=kelvin, time_range=(100.0, 200.0))
-    assert (found[0], found[-1]) == pytest.approx((290.0, 300.0))
+    profile = fit_profile(280.0 + 0.1 * T, spec=kelvin, time_range=(100.0, 200.0))
+    assert (profile[0], profile[-1]) == pytest.approx((290.0, 300.0))
 
 
 def test_unit_of_file_is_default(tmp_path):
@@ -60,8 +60,8 @@ def test_unit_of_file_is_default(tmp_path):
     file.write_text(f"t (s),T (°C)\n{rows}", encoding="utf-8")
     time = ColumnSpec("t (s)", target_unit="s")
     spec = ColumnSpec("T (°C)", target_unit="K", kind="temperature")
-    found = read_temperature_profile(file, RecordColumns(time, None, {"T": spec}))
-    assert (found[0], found[-1]) == pytest.approx((293.15, 332.15))
+    temperature_profile = read_temperature_profile(file, RecordColumns(time, None, {"T": spec}))
+    assert (temperature_profile[0], temperature_profile[-1]) == pytest.approx((293.15, 332.15))
     file.write_text(f"t (s),T (V)\n{rows}", encoding="utf-8")
     spec = ColumnSpec("T (V)", target_unit="K", kind="temperature")
     with raises("wrong-unit", "'T (V)'", "'V'"):
@@ -101,5 +101,5 @@ def test_infinite_time_raises_with_row(row, infinity):
 
 
 def test_profile_is_linear_across_gap():
-    found = fit_profile(make_gap(100.0, 190.0))
-    np.testing.assert_allclose(found, 293.15 + np.linspace(0, 0.01 * T[-1], MAX_KNOTS), atol=1e-6)
+    profile = fit_profile(make_gap(100.0, 190.0))
+    np.testing.assert_allclose(profile, 293.15 + np.linspace(0, 0.01 * T[-1], MAX_KNOTS), atol=1e-6)

@@ -225,27 +225,35 @@ def readings_of(place, name, readings, per_g):
 
     def covariance(x):
         step, variances = 1e-5, []
-        for one in readings:
+        for new_reading in readings:
             turned = [
-                reading(place, one, name, {**x, f"head of {one.name}": s * step}) for s in (1, -1)
+                reading(place, new_reading, name, {**x, f"head of {new_reading.name}": s * step})
+                for s in (1, -1)
             ]
-            by_head = per_g * (turned[0] - turned[1]) / (2.0 * step) * one.u_head
-            variances.append(one.u**2 + by_head**2)
+            by_head = per_g * (turned[0] - turned[1]) / (2.0 * step) * new_reading.u_head
+            variances.append(new_reading.u**2 + by_head**2)
         return np.diag(variances)
 
-    read = np.array([one.value for one in readings])
+    read = np.array([reading.value for reading in readings])
     return Rows(values, read, covariance, np.zeros((read.size, 0)))
 
 
 def read(place, name, readings, truth, per_g, normals, digits):
     """The readings with values as they are written: of the truth, with the noise of each."""
     there = []
-    for one in readings:
-        off = {f"head of {one.name}": one.u_head * normals.one()} if one.u_head else {}
-        if one.u_rate:
-            off[RATE + one.name] = one.u_rate * normals.one()
-        value = per_g * reading(place, one, name, {**truth, **off}) + one.u * normals.one()
-        there.append(replace(one, value=round(value, digits)))
+    for new_reading in readings:
+        off = (
+            {f"head of {new_reading.name}": new_reading.u_head * normals.one()}
+            if new_reading.u_head
+            else {}
+        )
+        if new_reading.u_rate:
+            off[RATE + new_reading.name] = new_reading.u_rate * normals.one()
+        value = (
+            per_g * reading(place, new_reading, name, {**truth, **off})
+            + new_reading.u * normals.one()
+        )
+        there.append(replace(new_reading, value=round(value, digits)))
     return there
 
 
@@ -289,23 +297,33 @@ def observables(folder):
     normals, groups = Normals(11), []
     for run in runs:
         covariances, columns = [], {"time_s": run.times, "angle_rad": run.angle(run.times)[0]}
-        for one, column in zip(instruments, ("east_mm", "north_m_s", "up_mA"), strict=True):
-            covariance = white[one.observable] ** 2 * np.eye(run.times.size)
-            if one.observable == "force":
+        for new_instrument, column in zip(
+            instruments, ("east_mm", "north_m_s", "up_mA"), strict=True
+        ):
+            covariance = white[new_instrument.observable] ** 2 * np.eye(run.times.size)
+            if new_instrument.observable == "force":
                 # The accelerometer's white noise in the mean over a sample's own time.
                 own = density * (1.25 / G) ** 2 / (run.times[1] - run.times[0])
                 covariance += own * np.eye(run.times.size)
             else:
-                covariance += walk(run.times, density, 1 + (one.observable == "displacement"))
-            clean = record(place, run, one, truth)
-            columns[column] = (clean + normals.of(covariance)) * per.get(one.observable, 1.0)
+                covariance += walk(
+                    run.times, density, 1 + (new_instrument.observable == "displacement")
+                )
+            clean = record(place, run, new_instrument, truth)
+            columns[column] = (clean + normals.of(covariance)) * per.get(
+                new_instrument.observable, 1.0
+            )
             covariances.append(covariance)
         there = written(folder, run.name, columns, ["%.6g", "%.15g", "%.6f", "%.9f", "%.9f"])
-        for one, covariance, values in zip(instruments, covariances, there[2:], strict=True):
-            model, free = model_of(place, run, one), start_errors(run, one)
-            groups.append(Rows(model, values / per.get(one.observable, 1.0), covariance, free))
-    names = [one.name for one in instruments]
-    asked = [f"{a}.{s}" for a in names for s in ("K_F", "K_I", "K_II")]
+        for new_instrument, covariance, values in zip(
+            instruments, covariances, there[2:], strict=True
+        ):
+            model, free = model_of(place, run, new_instrument), start_errors(run, new_instrument)
+            groups.append(
+                Rows(model, values / per.get(new_instrument.observable, 1.0), covariance, free)
+            )
+    names = [instrument.name for instrument in instruments]
+    texts = [f"{a}.{s}" for a in names for s in ("K_F", "K_I", "K_II")]
     stated = {
         **{"site.gravity": (0.0, 2e-5), "centrifuge.radius": (0.0, 2e-5)},
         **{"records.clock": (0.0, 5e-6), "centrifuge.stretch": (5e-8, 3e-8)},
@@ -316,17 +334,17 @@ def observables(folder):
     unstated = {f"{a}.{s}": v for a in names for s, v in (OWN | WARM).items()}
     unstated |= {**PLATFORM, **PATH, **LATITUDE, **DELAY}
     held = {f"{a}.K_PP": (1e-6, 5e-7) for a in names}
-    asked.append("platform.drift.north")
-    found = fit(groups, unknowns_of(asked, stated, unstated, held))
+    texts.append("platform.drift.north")
+    fit_result = fit(groups, unknowns_of(texts, stated, unstated, held))
     answers = Answers()
-    answers.lines(found, asked)
-    answers.rests_on(found)
-    answers.output(found, "Qz", 1.25)
+    answers.lines(fit_result, texts)
+    answers.rests_on(fit_result)
+    answers.output(fit_result, "Qz", 1.25)
     # Whether it fits is asked of a fit that adjusts what is held too.
-    loose = fit(groups, unknowns_of(asked, {**stated, **held}, unstated))
+    loose = fit(groups, unknowns_of(texts, {**stated, **held}, unstated))
     for k, name in enumerate(names):
-        answers.correlation(found, name)
-        answers.budget(found, f"{name}.K_II")
+        answers.correlation(fit_result, name)
+        answers.budget(fit_result, f"{name}.K_II")
         answers.misfit(loose, name, [k, k + 3, k + 6])
     return answers
 
@@ -395,17 +413,17 @@ def readings(folder):
     # Of the mounting "in" the radius to the proof mass is stated.
     unstated |= RATE_CLOCK | {"centrifuge.radius.A.out": MOUNTED_RADIUS}
     unstated |= {RATE + one.name: one.u_rate for one in on_arm}
-    asked = ["A.K_F", "A.K_I", "A.K_II", "A.K_III", "A.delta_O"]
+    texts = ["A.K_F", "A.K_I", "A.K_II", "A.K_III", "A.delta_O"]
     held = {"A.K_F.temperature": (2e-6, 1e-6)}
     groups = [readings_of(place, "A", each, per_g) for each in (at_rest, on_arm)]
-    found = fit(groups, unknowns_of(asked, stated, unstated, held))
+    fit_result = fit(groups, unknowns_of(texts, stated, unstated, held))
     answers = Answers()
-    answers.lines(found, asked)
-    answers.correlation(found, "A")
-    answers.rests_on(found)
-    answers.output(found, "A", per_g)
+    answers.lines(fit_result, texts)
+    answers.correlation(fit_result, "A")
+    answers.rests_on(fit_result)
+    answers.output(fit_result, "A", per_g)
     for name in ("A.K_F", "A.K_I", "A.K_II"):
-        answers.budget(found, name)
+        answers.budget(fit_result, name)
     return answers
 
 
@@ -457,12 +475,12 @@ def mixed(folder):
     }
     steps = {"start_angle": 1e-4, "rate": 1e-5, "drift": 1e-6}
     spindle = [Unknown(f"turntable.spindle.{s}", 0.0, step=v) for s, v in steps.items()]
-    found = fit(groups, [*unknowns_of(asked, stated, {}), *spindle], rounds=5)
+    fit_result = fit(groups, [*unknowns_of(asked, stated, {}), *spindle], rounds=5)
     answers = Answers()
-    answers.lines(found, asked, more=dict.fromkeys(radii, 2.5))
-    answers.correlation(found, "A")
-    answers.budget(found, "A.K_F")
-    answers.misfit(found, "A", [0])
+    answers.lines(fit_result, asked, more=dict.fromkeys(radii, 2.5))
+    answers.correlation(fit_result, "A")
+    answers.budget(fit_result, "A.K_F")
+    answers.misfit(fit_result, "A", [0])
     return answers
 
 
@@ -488,10 +506,10 @@ def dense(folder):
     ]
     normals, groups = Normals(3), []
     for run in runs:
-        one = np.eye(run.times.size)
+        eye = np.eye(run.times.size)
         covariances = [
-            1e-8 * one + walk(run.times, (1e-4 * G) ** 2, 2),
-            (0.2**2 + 0.1**2 / step) * one,
+            1e-8 * eye + walk(run.times, (1e-4 * G) ** 2, 2),
+            (0.2**2 + 0.1**2 / step) * eye,
         ]
         signals = [
             record(place, run, each, truth) + normals.of(covariance)
@@ -519,13 +537,13 @@ def dense(folder):
                     mean @ start_errors(run, each),
                 )
             )
-    asked = [f"{a}.{s}" for a in ("Qx", "Qy") for s in ("K_F", "K_I", "K_II")]
-    found = fit(groups, unknowns_of(asked, {}, {}))
+    texts = [f"{a}.{s}" for a in ("Qx", "Qy") for s in ("K_F", "K_I", "K_II")]
+    fit_result = fit(groups, unknowns_of(texts, {}, {}))
     answers = Answers()
-    answers.lines(found, asked)
+    answers.lines(fit_result, texts)
     for k, name in enumerate(("Qx", "Qy")):
-        answers.correlation(found, name)
-        answers.misfit(found, name, [k, k + 2, k + 4])
+        answers.correlation(fit_result, name)
+        answers.misfit(fit_result, name, [k, k + 2, k + 4])
     return answers
 
 
@@ -557,20 +575,20 @@ def found_readings(folder):
     lines, every = [], []
     for k in range(8):
         axes = rotated(instrument.axes(), math.radians(45.0 * k), np.array(AXES["west"]))
-        one = Reading(f"p{k}", "static", axes, u=4e-6)
-        pair = read(place, "A", [one, one], truth, per_g, normals, 7)
+        reading = Reading(f"p{k}", "static", axes, u=4e-6)
+        pair = read(place, "A", [reading, reading], truth, per_g, normals, 7)
         lines.append(f"p{k},{45 * k},{pair[0].value:.7f},{pair[1].value:.7f}")
         every += pair
     text = "\n".join(["position,angle_deg,first_V,second_V", *lines]) + "\n"
     (folder / "readings.csv").write_text(text, encoding="utf-8")
-    asked = ["A.K_F", "A.K_I", "A.delta_O"]
+    texts = ["A.K_F", "A.K_I", "A.delta_O"]
     # One noise for all: the squares that a fit leaves over the rows less the unknowns.
-    left, dof = fit([readings_of(place, "A", every, per_g)], unknowns_of(asked, {}, {})).misfit([0])
+    left, dof = fit([readings_of(place, "A", every, per_g)], unknowns_of(texts, {}, {})).misfit([0])
     every = [replace(one, u=4e-6 * math.sqrt(left / dof)) for one in every]
-    found = fit([readings_of(place, "A", every, per_g)], unknowns_of(asked, {}, {}))
+    fit_result = fit([readings_of(place, "A", every, per_g)], unknowns_of(texts, {}, {}))
     answers = Answers()
-    answers.lines(found, asked)
-    for name in asked:
+    answers.lines(fit_result, texts)
+    for name in texts:
         answers.dof(name, dof, 1e-6)
     return answers
 
@@ -594,17 +612,19 @@ def found_noise(folder):
         t, white = run.times, 1e-6 * np.eye(65)
         noise = normals.of(white), normals.of(white + walk(t, density, 1))
         columns = {"time_s": t, "angle_rad": run.angle(t)[0]}
-        for one, own, name in zip(instruments, noise, ("east_m", "north_m_s"), strict=True):
-            columns[name] = record(place, run, one, truth) + own
+        for instrument, own, name in zip(instruments, noise, ("east_m", "north_m_s"), strict=True):
+            columns[name] = record(place, run, instrument, truth) + own
         there = written(folder, run.name, columns, ["%.6g", "%.15g", "%.6f", "%.6f"])
-        for one, values in zip(instruments, there[2:], strict=True):
-            model, free = model_of(place, run, one), start_errors(run, one)
-            signals[one.name].append(Rows(model, values, white, free))
+        for instrument, values in zip(instruments, there[2:], strict=True):
+            model, free = model_of(place, run, instrument), start_errors(run, instrument)
+            signals[instrument.name].append(Rows(model, values, white, free))
     answers = Answers()
-    for one, integrations in zip(instruments, (2, 1), strict=True):
-        stated = {"Qx.K_I": (1.0, 1e-4)} if one.name == "Qx" else {}
-        unknowns = unknowns_of([f"{one.name}.{s}" for s in ("K_F", "K_I", "K_II")], stated, {})
-        with_found_noise(answers, signals[one.name], runs, integrations, unknowns, density)
+    for instrument, integrations in zip(instruments, (2, 1), strict=True):
+        stated = {"Qx.K_I": (1.0, 1e-4)} if instrument.name == "Qx" else {}
+        unknowns = unknowns_of(
+            [f"{instrument.name}.{s}" for s in ("K_F", "K_I", "K_II")], stated, {}
+        )
+        with_found_noise(answers, signals[instrument.name], runs, integrations, unknowns, density)
     return answers
 
 

@@ -52,10 +52,10 @@ def alone(y, own, p, o):
 
 def both(y, x_own, y_own, p):
     """Forces east and north; the output axes are north of X and west of Y."""
-    found = findroot(
+    solution = findroot(
         lambda a, b: [signal(x_own, a, p, b) - y[0], signal(y_own, b, p, -a) - y[1]], y
     )
-    return found[0], found[1]
+    return solution[0], solution[1]
 
 
 def variance(slopes, table):
@@ -123,7 +123,7 @@ def certified(gravity_u, coefficients, related):
     (_, u1, _, _, old1, kept1, shift1), (_, u2, _, _, old2, kept2, shift2) = estimates
     # What both numbers have of g in g-units goes, and what they have in SI comes.
     together = related * old1 * old2 - kept1 * kept2 + shift1 * shift2
-    least = min(one[3] for one in estimates)
+    least = min(estimate[3] for estimate in estimates)
     # F of two quantities in closed form: P = 1 - (1 + 2 F/dof)^(-dof/2).
     region = sqrt(least * (mpf("0.05") ** (-2 / least) - 1))
     lines = [[v, k * u, k] for v, u, k, *_ in estimates]

@@ -69,11 +69,11 @@ def number_pairs(path):
 
 def paths(text, colour, *, kind="stroke"):
     """Return the points of all paths with a paper colour across the drawing."""
-    found = ET.fromstring(text).iter(f"{NAMESPACE}path")
+    actual_text = ET.fromstring(text).iter(f"{NAMESPACE}path")
     style = f"{kind}: {PAPER_COLOURS[colour]}"
     return [
         number_pairs(p.get("d"))
-        for p in found
+        for p in actual_text
         if style in p.get("style", "") and "clip" in str(p.attrib)
     ]
 
@@ -379,10 +379,13 @@ def test_figure_file_has_titles_and_shared_axis(tmp_path):
     plots = [Plot(f"part {n}, ug/g", "time, s", "y", (line,), x_range=(0.0, 1.0)) for n in "ab"]
     save_figure(plots, tmp_path / "file.svg")
     text = (tmp_path / "file.svg").read_text("utf-8")
-    said = svg_texts(text)
-    assert [word for word in said if word.startswith("part")] == ["part a, µg/g", "part b, µg/g"]
-    assert said.count("time, s") == 1
-    assert said.count("0.2") == 3  # twice along y, once along x
+    actual_svg_texts = svg_texts(text)
+    assert [word for word in actual_svg_texts if word.startswith("part")] == [
+        "part a, µg/g",
+        "part b, µg/g",
+    ]
+    assert actual_svg_texts.count("time, s") == 1
+    assert actual_svg_texts.count("0.2") == 3  # twice along y, once along x
     assert "<dc:date>" not in text
     assert "var(" not in text
 

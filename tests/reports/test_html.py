@@ -58,12 +58,12 @@ def test_blocks_appear_once_and_in_order(tree, name):
     for block in make_blocks(name):
         match block:
             case Heading(text, _):
-                found = [
+                hs = [
                     h
                     for h in tree.xpath("//h1|//h2|//h3")
                     if element_text(h) == " ".join(text.split())
                 ]
-                assert len(found) == 1
+                assert len(hs) == 1
             case Paragraph(text, "equation"):
                 [equation] = tree.xpath("//p[@class='equation']")
                 assert element_text(equation).replace("_", "") == text.replace("_", "")
@@ -105,14 +105,14 @@ def test_contents_link_to_chapters(tree, name):
 
 def test_table_headers_have_scope(tree, name):
     [table] = tree.xpath("//table")
-    made = next(block for block in make_blocks(name) if isinstance(block, Table))
+    blocks = next(block for block in make_blocks(name) if isinstance(block, Table))
     assert [element_text(th) for th in table.xpath("thead//th[@scope='col']")] == [
         "Symbol",
         "Words",
         "Value",
     ]
     rows = table.xpath("tbody/tr")
-    assert [tuple(cell.text_content() for cell in row) for row in rows] == list(made.rows)
+    assert [tuple(cell.text_content() for cell in row) for row in rows] == list(blocks.rows)
     assert [row.get("class") for row in rows] == [None, "quiet", None]
     assert all(row[0].tag == "th" and row[0].get("scope") == "row" for row in rows)
     assert table.xpath("tbody/tr/td[2]/@class") == ["right"] * 3
@@ -125,11 +125,11 @@ def test_table_headers_have_scope(tree, name):
 
 
 def test_answer_with_reservations_has_separate_class():
-    made = [Paragraph("a", "answer"), Paragraph("b", "reserved"), Paragraph("c", "reserved")]
+    paragraphs = [Paragraph("a", "answer"), Paragraph("b", "reserved"), Paragraph("c", "reserved")]
     for text in (
-        render_page(page_blocks=made),
-        render_fragment(made, title="T"),
-        render_notebook_cell(made),
+        render_page(page_blocks=paragraphs),
+        render_fragment(paragraphs, title="T"),
+        render_notebook_cell(paragraphs),
     ):
         boxes = parse_html(text).xpath("//div[starts-with(@class, 'answers')]")
         assert [(box.get("class"), len(box)) for box in boxes] == [
@@ -212,13 +212,13 @@ def test_control_characters_in_names_are_escaped():
 
 def test_page_makes_no_external_request(tree, text):
     for attribute in ("href", "src", "srcset", "action", "data", "poster", "xlink:href"):
-        for found in tree.xpath(f"//@*[name() = '{attribute}']"):
-            assert re.match(r"#|data:,$", found), (attribute, found)
+        for element in tree.xpath(f"//@*[name() = '{attribute}']"):
+            assert re.match(r"#|data:,$", element), (attribute, element)
     assert not tree.xpath(
         "//iframe|//object|//embed|//base|//img|//form|//*[@http-equiv='refresh']"
     )
     assert "@import" not in text
-    assert all(found.startswith("#") for found in re.findall(r"url\(\s*[\"']?([^)]*)", text))
+    assert all(match.startswith("#") for match in re.findall(r"url\(\s*[\"']?([^)]*)", text))
     # Namespace names and the address in the uPlot licence are not requests.
     addresses = set(re.findall(r"(?:https?:|wss?:)?//[\w.-]+\.[a-z]{2,}[^\s\"')]*", text))
     assert addresses <= {
@@ -280,7 +280,7 @@ def test_page_is_reproducible(text, name):
 
 
 def zoom_data(text):
-    return [json.loads(found) for found in parse_html(text).xpath("//figure/script/text()")]
+    return [json.loads(element) for element in parse_html(text).xpath("//figure/script/text()")]
 
 
 def unpack(packed):
@@ -296,15 +296,15 @@ def test_zoom_data_have_screen_resolution(text, name):
         [0.0],
     )
     assert [series["label"] for series in first["series"]] == [name, "mean", "left out"]
-    for one, series in zip(first["series"], plot.series, strict=True):
+    for record, series in zip(first["series"], plot.series, strict=True):
         for key in ("x", "y", "low", "high"):
             wanted = getattr(series, key)
-            if one[key] is None:
+            if record[key] is None:
                 assert wanted is None or (series.kind == "band" and key == "y")
                 continue
             known = [value for value in wanted if value is not None]
             spread = max(known) - min(known)
-            for found, value in zip(unpack(one[key]), wanted, strict=True):
+            for found, value in zip(unpack(record[key]), wanted, strict=True):
                 assert (found is None) == (value is None)
                 assert found is None or abs(found - value) <= 0.5 * spread / 2e4
 

@@ -81,8 +81,8 @@ def test_text_round_trips_through_parser(text):
     for style in ("answer", "undetermined", "warning"):
         quotation = render_markdown([Paragraph(text, style)])
         assert parse_markdown(quotation)[0].type == "blockquote_open"
-        (said,) = inline_texts(quotation.removeprefix("> [!WARNING]\n"), "paragraph")
-        assert said == text
+        (actual_inline_text,) = inline_texts(quotation.removeprefix("> [!WARNING]\n"), "paragraph")
+        assert actual_inline_text == text
 
 
 printable = st.text(st.characters(exclude_categories=("Cs", "Cc", "Zs", "Zl", "Zp"))).map(str.strip)

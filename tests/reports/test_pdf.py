@@ -75,10 +75,10 @@ def page_pixels(monkeypatch, *blocks):
 
 
 def test_pages_have_title_identifier_and_number():
-    found = read_pdf(*(Paragraph(f"Paragraph {i}. " + "Words " * 60) for i in range(40)))
-    count = len(found.pages)
+    pdf = read_pdf(*(Paragraph(f"Paragraph {i}. " + "Words " * 60) for i in range(40)))
+    count = len(pdf.pages)
     assert count > 2
-    for number, page in enumerate(found.pages, 1):
+    for number, page in enumerate(pdf.pages, 1):
         text = page_text(page)
         assert "Campaign" in text
         assert "CS-0123456789ab" in text
@@ -90,8 +90,8 @@ def test_pages_have_title_identifier_and_number():
 def test_end_mark_is_not_alone_on_page():
     # The last page contains a part of the last block.
     for length in range(40, 60):
-        found = read_pdf(*(Paragraph(f"line {i}") for i in range(length)))
-        last = page_text(found.pages[-1])
+        pdf = read_pdf(*(Paragraph(f"line {i}") for i in range(length)))
+        last = page_text(pdf.pages[-1])
         assert "line" in last
         assert "End of CS-0123456789ab" in last
 
@@ -104,7 +104,7 @@ def test_title_replaces_missing_heading():
 
 
 def test_text_is_not_interpreted_as_markup():
-    found = read_pdf(
+    pdf = read_pdf(
         Heading(HOSTILE, 1),
         Heading(f"2 {HOSTILE}", 2),
         Paragraph(f"answer {HOSTILE}", "answer"),
@@ -116,12 +116,12 @@ def test_text_is_not_interpreted_as_markup():
         Bars(f"bars {HOSTILE}", ("#a $b$",), (1.0,), ("100 %",)),
         title=HOSTILE,
     )
-    text = " ".join(page_text(page) for page in found.pages)
+    text = " ".join(page_text(page) for page in pdf.pages)
     heads = ("2", "answer", "warning", "plain", "quiet", "$", "title", "cell", "bars")
     for head in heads:
         assert f"{head} {HOSTILE}" in text
     assert "#a $b$" in text
-    assert found.metadata.title == HOSTILE
+    assert pdf.metadata.title == HOSTILE
 
 
 def test_equations_have_subscripts():
@@ -134,13 +134,13 @@ def test_equations_have_subscripts():
 
 def test_plots_contain_text_and_alternative_text():
     data = make_pdf(*PICTURES)
-    found = pypdf.PdfReader(io.BytesIO(data))
-    text = " ".join(page_text(page) for page in found.pages)
-    for said in ("Drift", "time / s", "seen", "Budget", "100 %", "Correlation", "0.50"):
-        assert said in text
+    PdfReader = pypdf.PdfReader(io.BytesIO(data))
+    text = " ".join(page_text(page) for page in PdfReader.pages)
+    for actual_text in ("Drift", "time / s", "seen", "Budget", "100 %", "Correlation", "0.50"):
+        assert actual_text in text
     alternatives = {
         thing.get_object()["/Alt"]
-        for thing in (found.get_object(i) for i in range(1, len(found.xref[0]) + 1))
+        for thing in (PdfReader.get_object(i) for i in range(1, len(PdfReader.xref[0]) + 1))
         if isinstance(thing, pypdf.generic.DictionaryObject) and "/Alt" in thing
     }
     assert alternatives == {"Drift", "Budget", "Correlation"}
@@ -157,10 +157,10 @@ def test_content_stays_within_margins(monkeypatch):
 
 def test_missing_glyphs_become_squares():
     odd = "\ue123\U000e0041"
-    found = read_pdf(
+    pdf = read_pdf(
         Paragraph(f"α Ж é {odd[0]} end"), Bars(f"b{odd[0]}", (f"label{odd[0]}",), (1.0,), ("1",))
     )
-    text = page_text(found.pages[0])
+    text = page_text(pdf.pages[0])
     assert "α Ж é □ end" in text
     assert "label□" in text or "label\ufffd" in text
 
@@ -169,9 +169,9 @@ def test_control_characters_in_names_are_escaped():
     name = "Qx\x1b\u202e\nK_II = 1"
     shown = r"Qx\x1b\u202e\nK_II = 1"
     blocks = [Paragraph(name), Table((Column(name),), ((name,),))]
-    found = read_pdf(*blocks, title=name, identifier=name)
-    assert found.metadata.title == shown
-    text = found.pages[0].extract_text()
+    pdf = read_pdf(*blocks, title=name, identifier=name)
+    assert pdf.metadata.title == shown
+    text = pdf.pages[0].extract_text()
     assert text.count("\\nK") >= 5
     assert not [line for line in text.splitlines() if line.startswith("K")]
 
@@ -191,9 +191,9 @@ def long_table(rows, columns=4):
 
 
 def test_long_table_repeats_header():
-    found = read_pdf(long_table(150))
-    assert len(found.pages) > 2
-    text = [page_text(page) for page in found.pages]
+    pdf = read_pdf(long_table(150))
+    assert len(pdf.pages) > 2
+    text = [page_text(page) for page in pdf.pages]
     assert all("Name of the run c0 c1 c2 c3" in page for page in text)
     for row in range(150):
         assert sum(f"run{row} {row}.000417 {row}.100417" in page for page in text) == 1
@@ -202,8 +202,8 @@ def test_long_table_repeats_header():
 def test_long_table_starts_with_at_least_three_rows():
     counts = []
     for lines in range(34, 48):
-        found = read_pdf(*(Paragraph("x") for _ in range(lines)), long_table(20))
-        first = next(text for page in found.pages if "run0 " in (text := page_text(page)))
+        pdf = read_pdf(*(Paragraph("x") for _ in range(lines)), long_table(20))
+        first = next(text for page in pdf.pages if "run0 " in (text := page_text(page)))
         counts.append(sum(f"run{row} {row}." in first for row in range(20)))
     # For all positions of the table on the page, which differ in these cases.
     assert min(counts) >= 3
@@ -220,8 +220,8 @@ def test_symbols_have_subscripts():
 
 def test_short_table_is_not_split():
     for lines in range(30, 48, 3):
-        found = read_pdf(*(Paragraph("x") for _ in range(lines)), long_table(10))
-        on = [page_text(page) for page in found.pages if "run0 " in page_text(page)]
+        pdf = read_pdf(*(Paragraph("x") for _ in range(lines)), long_table(10))
+        on = [page_text(page) for page in pdf.pages if "run0 " in page_text(page)]
         assert len(on) == 1
         assert "run9 " in on[0]
 
@@ -242,11 +242,11 @@ def test_wide_table_fits_page(table, monkeypatch):
         assert page[:, :-margin].min() < 0.5
         assert page[:, -margin:].min() == 1.0
         assert page[:, : margin - 1].min() == 1.0
-    found = read_pdf(table)
-    text = "".join("".join(page.extract_text().split()) for page in found.pages)
+    pdf = read_pdf(table)
+    text = "".join("".join(page.extract_text().split()) for page in pdf.pages)
     text = text.replace("\u200b", "")
     if len(table.rows) == 20:
-        text = "".join("".join(page_text(page).split()) for page in found.pages)
+        text = "".join("".join(page_text(page).split()) for page in pdf.pages)
         for row in table.rows:
             assert "".join(row) in text
     letters = sum(len("".join(cell.split())) for row in table.rows for cell in row)
@@ -279,11 +279,11 @@ def make_attachments():
 
 
 def test_attachments_are_identical():
-    found = read_pdf(Paragraph("words"), attachments=make_attachments())
-    assert {name: data[0] for name, data in found.attachments.items()} == {
+    pdf = read_pdf(Paragraph("words"), attachments=make_attachments())
+    assert {name: data[0] for name, data in pdf.attachments.items()} == {
         attachment.name: attachment.data for attachment in make_attachments()
     }
-    embedded = found.trailer["/Root"]["/AF"]
+    embedded = pdf.trailer["/Root"]["/AF"]
     files = {file.get_object()["/UF"]: file.get_object() for file in embedded}
     assert files["certificate.xml"]["/AFRelationship"] == "/Data"
     assert files["result.json"]["/AFRelationship"] == "/Source"
@@ -299,16 +299,16 @@ def test_rejects_duplicate_attachment_name():
 
 @pytest.mark.parametrize("attached", [(), make_attachments()], ids=["alone", "with attachments"])
 def test_file_declares_pdf_a_metadata(attached):
-    found = read_pdf(Paragraph("words"), attachments=attached)
-    xmp = found.xmp_metadata
+    pdf = read_pdf(Paragraph("words"), attachments=attached)
+    xmp = pdf.xmp_metadata
     assert xmp.pdfaid_part == "3"
     assert xmp.pdfaid_conformance == "A"  # and so B too
     assert xmp.dc_title == {"x-default": "Campaign"}
-    assert found.metadata.title == "Campaign"
-    assert found.metadata.keywords == "CS-0123456789ab"
-    assert found.metadata.creation_date == DATE.astimezone(UTC)
+    assert pdf.metadata.title == "Campaign"
+    assert pdf.metadata.keywords == "CS-0123456789ab"
+    assert pdf.metadata.creation_date == DATE.astimezone(UTC)
     # PDF/A requires embedded fonts and an output intent.
-    assert "/OutputIntents" in found.trailer["/Root"]
+    assert "/OutputIntents" in pdf.trailer["/Root"]
 
 
 @pytest.mark.skipif(shutil.which("verapdf") is None, reason="veraPDF is not installed")
@@ -327,14 +327,14 @@ def test_verapdf_reports_no_error(tmp_path, flavour):
 
 
 def test_outline_contains_chapters():
-    found = read_pdf(Heading("Report", 1), Heading("Runs"), Paragraph("words"), Heading("Fit", 3))
+    pdf = read_pdf(Heading("Report", 1), Heading("Runs"), Paragraph("words"), Heading("Fit", 3))
     titles = []
 
     def collect_titles(items):
         for item in items:
             collect_titles(item) if isinstance(item, list) else titles.append(item.title)
 
-    collect_titles(found.outline)
+    collect_titles(pdf.outline)
     assert titles == ["Report", "Runs", "Fit"]
 
 

@@ -36,8 +36,10 @@ def test_report_formats_are_reproducible(suffix, tmp_path):
 def test_returned_report_equals_written_file(kind, tmp_path):
     file = tmp_path / f"a.{kind}"
     write_report(make_qx_result(), file, identifier="LAB 7/26", issued=FIXED)
-    made = report(make_qx_result(), kind, identifier="LAB 7/26", issued=FIXED)
-    assert (made if isinstance(made, bytes) else made.encode()) == file.read_bytes()
+    report_result = report(make_qx_result(), kind, identifier="LAB 7/26", issued=FIXED)
+    assert (
+        report_result if isinstance(report_result, bytes) else report_result.encode()
+    ) == file.read_bytes()
     with raises("wrong-usage", "kind:", "'txt'", "html", "md", "pdf"):
         report(make_qx_result(), "txt")
 
@@ -52,8 +54,8 @@ def test_report_does_not_overwrite_other_file(tmp_path):
 
 def test_identifier_is_in_report(tmp_path):
     write_report(make_qx_result(), tmp_path / "a.md", identifier="LAB 7/26", issued=FIXED)
-    told = (tmp_path / "a.md").read_text(encoding="utf-8")
-    assert told.endswith("\n\nEnd of LAB 7/26, 2026-03-01 12:00 UTC.\n")
+    text = (tmp_path / "a.md").read_text(encoding="utf-8")
+    assert text.endswith("\n\nEnd of LAB 7/26, 2026-03-01 12:00 UTC.\n")
     write_report(make_qx_result(), tmp_path / "a.html", issued=FIXED)
     assert make_qx_result().identifier in (tmp_path / "a.html").read_text(encoding="utf-8")
     write_report(
@@ -90,9 +92,9 @@ def test_source_date_epoch_sets_date(monkeypatch):
 def test_current_date_has_whole_seconds(monkeypatch):
     monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
     before = datetime.now(UTC).replace(microsecond=0)
-    made = parse_issue_date()
-    assert made.microsecond == 0
-    assert before <= made <= datetime.now(UTC)
+    issue_date = parse_issue_date()
+    assert issue_date.microsecond == 0
+    assert before <= issue_date <= datetime.now(UTC)
 
 
 # Command line

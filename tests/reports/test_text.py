@@ -79,7 +79,7 @@ def make_result(**changes):
 
 def make_full_result():
     """Return a result with all parts."""
-    found = make_accelerometer(
+    accelerometer = make_accelerometer(
         coefficients=make_all_coefficients() | {"K_II": K_II, "K_III": K_III},
         confounded=[
             ConfoundedTerms(
@@ -157,7 +157,7 @@ def make_full_result():
         fit={"Qx": {"chi2_per_dof": 1.0213, "lack_of_fit_p": None, "spectrum": "white"}},
     )  # fmt: skip
     return make_result(
-        accelerometers={"Qx": found, "Qy": make_accelerometer()},
+        accelerometers={"Qx": accelerometer, "Qy": make_accelerometer()},
         platform={
             "platform.drift.north": Coefficient(
                 value=0.01 * DEG_H, u=0.002 * DEG_H, unit="rad/s", estimated=True

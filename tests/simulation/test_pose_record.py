@@ -67,11 +67,11 @@ def test_calibration_returns_simulated_truth(tmp_path):
     rows = min(pose.samples for pose in result.triad.poses)
     assert rows >= 250
     assert noise.value == pytest.approx(NOISE / np.sqrt(350), rel=0.15 + 4.5 / np.sqrt(42.0))
-    found = [result.coefficient(f"{owner}.{symbol}") for owner, symbol in triads.PARAMETERS]
-    off = np.array([c.value for c in found]) - triads.true_parameters()
-    z = off / [c.u for c in found]
+    coefficients = [result.coefficient(f"{owner}.{symbol}") for owner, symbol in triads.PARAMETERS]
+    off = np.array([c.value for c in coefficients]) - triads.true_parameters()
+    z = off / [c.u for c in coefficients]
     assert np.abs(z).max() < 5.0  # Student's t of 21 degrees of freedom, nine of them: p = 5e-4
-    assert max(c.u for c in found) < 1e-4
+    assert max(c.u for c in coefficients) < 1e-4
     record = PoseRecord("all", tmp_path / "a.csv", 1.5, None, **dict.fromkeys(STATED_CONDITIONS))
     campaign = cs.read_campaign(tmp_path)
     from counterspin.simulation.readings import reading_generator
@@ -92,10 +92,10 @@ def test_drift_within_record_is_estimated(tmp_path, begun):
     cs.simulate(tmp_path, tmp_path / "made")
     result = cs.calibrate(tmp_path / "made")
     for name, true in (("X", 0.0), ("Y", 0.0), ("Z", drift)):
-        found = result.coefficient(f"{name}.K_F.trend")
-        assert found.estimated
-        assert abs(found.value - true) < 5.0 * found.u
-        assert found.u < 0.02 * drift
+        coefficient = result.coefficient(f"{name}.K_F.trend")
+        assert coefficient.estimated
+        assert abs(coefficient.value - true) < 5.0 * coefficient.u
+        assert coefficient.u < 0.02 * drift
     # At the start of the record.
     bias = result.coefficient("Z.K_F")
     assert abs(bias.value - triads.BIAS[2]) < 5.0 * bias.u
@@ -152,10 +152,10 @@ def test_invalid_pose_record_raises(tmp_path, text, words):
 
 def test_command_line_simulates_checks_and_studies(tmp_path, capsys):
     (tmp_path / "campaign.toml").write_text(describe_pose_record(), "utf-8")
-    made = str(tmp_path / "made")
-    assert main(["simulate", str(tmp_path / "campaign.toml"), "-o", made]) == 0
-    assert main(["check", f"{made}/all.csv", "--campaign", made]) == 0
-    assert main(["study", made, "--trials", "2"]) == 0
+    folder = str(tmp_path / "made")
+    assert main(["simulate", str(tmp_path / "campaign.toml"), "-o", folder]) == 0
+    assert main(["check", f"{folder}/all.csv", "--campaign", folder]) == 0
+    assert main(["study", folder, "--trials", "2"]) == 0
     assert "Z.delta_P" in capsys.readouterr().out
 
 
@@ -174,6 +174,6 @@ def test_study_u_matches_noise_of_pose_means(tmp_path, unit):
     x, y, z = along.T
     felt = np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
     u = NOISE / np.sqrt(300.0) * np.sqrt(np.diag(np.linalg.inv(felt.T @ felt))[0])
-    found = study(studied, trials=60).analyses["joint"].coefficients["X.K_F"]
-    assert found.sd == pytest.approx(u, rel=5.0 / np.sqrt(2.0 * 60.0))
-    assert found.u == pytest.approx(u, rel=0.1)
+    coefficient = study(studied, trials=60).analyses["joint"].coefficients["X.K_F"]
+    assert coefficient.sd == pytest.approx(u, rel=5.0 / np.sqrt(2.0 * 60.0))
+    assert coefficient.u == pytest.approx(u, rel=0.1)

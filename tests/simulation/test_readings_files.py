@@ -77,18 +77,18 @@ def write_campaign(folder, text=TEXT):
 
 
 def test_readings_are_filled_and_other_content_is_unchanged(tmp_path):
-    made = tmp_path / "made"
-    written = simulate(write_campaign(tmp_path / "own"), made)
-    assert written == (made / "rest.parquet", made / "tables" / "readings.csv")
-    before, after = TEXT.splitlines(), (made / "campaign.toml").read_text("utf-8").splitlines()
+    folder = tmp_path / "made"
+    written = simulate(write_campaign(tmp_path / "own"), folder)
+    assert written == (folder / "rest.parquet", folder / "tables" / "readings.csv")
+    before, after = TEXT.splitlines(), (folder / "campaign.toml").read_text("utf-8").splitlines()
     changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
     assert [a for a, _ in changed] == [
         line for line in before if "? " in line and "reading" in line
     ]
-    readings = read_campaign(made).readings
+    readings = read_campaign(folder).readings
     assert [r.u for r in readings[:2]] == [pytest.approx(1.6e-6)] * 2
     assert readings[0].value == pytest.approx(10.002, abs=0.01)
-    table = pl.read_csv(made / "tables" / "readings.csv")
+    table = pl.read_csv(folder / "tables" / "readings.csv")
     assert table["mA"].null_count() == 0
     assert table["u"].to_list() == [2e-6] * 12
     assert [r.value for r in readings[3:]] == pytest.approx(
@@ -175,9 +175,9 @@ def test_repeat_count_of_table_is_unchanged(tmp_path):
 
 def test_calibration_of_simulated_readings_returns_truth(tmp_path):
     simulate(write_campaign(tmp_path / "own"), tmp_path / "made")
-    found = calibrate(tmp_path / "made").accelerometers["A"].coefficients
+    coefficients = calibrate(tmp_path / "made").accelerometers["A"].coefficients
     for symbol, truth in (("K_F", 2e-3), ("K_I", 1.0005), ("K_II", 15e-6)):
-        assert abs(found[symbol].value - truth) < 4.0 * found[symbol].u
+        assert abs(coefficients[symbol].value - truth) < 4.0 * coefficients[symbol].u
 
 
 def test_output_zero_is_simulated_and_calibrated(tmp_path):
@@ -274,9 +274,9 @@ def test_readings_in_memory_equal_readings_in_folder(tmp_path):
     in_memory = simulate(own)
     written = read_campaign(tmp_path / "made")
     assert in_memory.source.document == written.source.document
-    rest = pl.read_parquet(tmp_path / "made" / "rest.parquet")
+    parquet = pl.read_parquet(tmp_path / "made" / "rest.parquet")
     columns = in_memory.record_at(in_memory.readings[-1].record).columns
-    np.testing.assert_array_equal(columns["mA"], rest["mA"].to_numpy())
+    np.testing.assert_array_equal(columns["mA"], parquet["mA"].to_numpy())
     assert simulate(in_memory).source.document == written.source.document
 
 

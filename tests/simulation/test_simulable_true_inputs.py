@@ -96,9 +96,9 @@ def test_record_in_g_uses_true_gravity(tmp_path):
         ('start_velocity = "-1e-3 m/s"', ""),
     )
     texts = {"stated": force, "true": add_truth('[truth.site]\ngravity = "9.82 m/s^2"', force)}
-    found = {name: simulate_columns(tmp_path / name, text)["up_g"] for name, text in texts.items()}
+    up_gs = {name: simulate_columns(tmp_path / name, text)["up_g"] for name, text in texts.items()}
     # The mean Coriolis force of whole revolutions is zero.
-    for values in found.values():
+    for values in up_gs.values():
         assert values[:-1].mean() == pytest.approx(1.005, abs=1e-12)
 
 
@@ -130,8 +130,8 @@ def test_arm_reading_uses_true_radius_and_gravity(tmp_path, unit, per_g):
     (tmp_path / "true").mkdir()
     read = {}
     for name, one in (("stated", text), ("true", add_truth(table, text))):
-        made = simulate(write_and_read_campaign(tmp_path / name, one))
-        read[name] = made.readings[0].value
+        campaign = simulate(write_and_read_campaign(tmp_path / name, one))
+        read[name] = campaign.readings[0].value
     # The file has the accelerometer's g; in m/s^2 it is read with the gravity that is stated.
     assert read["stated"] == pytest.approx(100.0 / 9.8066, rel=1e-11)
     expected = 100.1 / 9.82 * (per_g / 9.8066 if unit != "g" else 1.0)

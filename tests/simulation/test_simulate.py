@@ -356,9 +356,9 @@ def test_simulation_in_memory_equals_simulation_in_folder(tmp_path):
         for name, values in in_memory.record_at(run.record).columns.items():
             np.testing.assert_array_equal(written[name].to_numpy(), values)
     assert in_memory.simulation == campaign.simulation
-    found = calibrate(in_memory)
-    assert found.accelerometers == calibrate(tmp_path / "made").accelerometers
-    assert set(found.provenance.in_memory) == set(RECORDS)
+    result = calibrate(in_memory)
+    assert result.accelerometers == calibrate(tmp_path / "made").accelerometers
+    assert set(result.provenance.in_memory) == set(RECORDS)
 
 
 def test_changed_campaign_is_simulated_with_changes(tmp_path):
@@ -378,9 +378,9 @@ def test_changed_campaign_is_simulated_with_changes(tmp_path):
 
 def test_different_seeds_have_independent_noise(tmp_path):
     campaign = write_and_read_campaign(tmp_path, SMALL)
-    one, other = (simulate(campaign.change({"simulation": {"seed": seed}})) for seed in (1, 2))
-    record = one.runs[0].record
-    errors = [c.record_at(record).columns["east_m"] for c in (one, other)]
+    first, second = (simulate(campaign.change({"simulation": {"seed": seed}})) for seed in (1, 2))
+    record = first.runs[0].record
+    errors = [c.record_at(record).columns["east_m"] for c in (first, second)]
     assert np.std(errors[0] - errors[1]) == pytest.approx(0.01 * math.sqrt(2.0), rel=0.1)
 
 

@@ -53,7 +53,7 @@ def made(folder, text, engine):
     draws = truth.draw(random_stream(1, 0, 0), 1)
     draws.white_noise[:] = 0.0
     trials = part.engine.run_trials(draws, random_stream(1, 0, 1))
-    names = [one.symbol for one in part.coefficients]
+    names = [coefficient.symbol for coefficient in part.coefficients]
     rows = list(part.rows)
     values = zip(trials.estimate[rows, 0], trials.u[rows, 0], strict=True)
     return part.cost_class, dict(zip(names, values, strict=True))
@@ -128,10 +128,10 @@ def test_stated_input_uncertainties_have_coverage(tmp_path, text):
     joint = result.analyses["joint"]
     assert joint.engine == "linear"
     for symbol in ("K_F", "K_I", "K_II"):
-        found = joint.coefficients[f"Qx.{symbol}"]
-        assert found.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n))
-        assert found.sd == pytest.approx(found.u, rel=5.0 / np.sqrt(2 * n))
-        assert abs(found.bias) < 4.0 * found.se_bias
+        coefficient = joint.coefficients[f"Qx.{symbol}"]
+        assert coefficient.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n))
+        assert coefficient.sd == pytest.approx(coefficient.u, rel=5.0 / np.sqrt(2 * n))
+        assert abs(coefficient.bias) < 4.0 * coefficient.se_bias
     # The radius alone makes this of K_I, and of K_F gravity and clock (of both recorders less).
     assert joint.coefficients["Qx.K_I"].u == pytest.approx(1e-4, rel=0.1)
     clock = 0.004 * 1e-4
@@ -145,8 +145,8 @@ def test_stated_input_uncertainties_have_coverage(tmp_path, text):
     # Whole records scatter alike: 20 trials know that to 16 %.
     whole = study(folder, trials=20, engine="full").analyses["joint"]
     for symbol in ("K_F", "K_I", "K_II"):
-        found = whole.coefficients[f"Qx.{symbol}"]
-        assert found.sd / found.u == pytest.approx(1.0, abs=0.64)
+        coefficient = whole.coefficients[f"Qx.{symbol}"]
+        assert coefficient.sd / coefficient.u == pytest.approx(1.0, abs=0.64)
 
 
 def test_recorders_may_have_separate_clocks(tmp_path):

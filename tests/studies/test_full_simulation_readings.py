@@ -202,12 +202,14 @@ def test_u_of_trial_matches_calibration(tmp_path):
     folder = described(tmp_path / "own", *parts)
     result = cs.study(folder, trials=8)
     cs.simulate(folder, tmp_path / "made")
-    found = cs.calibrate(tmp_path / "made")
+    actual_result = cs.calibrate(tmp_path / "made")
     for symbol in ("K_F", "K_I", "K_II", "delta_O"):
         claimed = result.analyses["joint"].coefficients[f"A.{symbol}"].u
-        assert claimed == pytest.approx(found.accelerometers["A"].coefficients[symbol].u, rel=1e-3)
+        assert claimed == pytest.approx(
+            actual_result.accelerometers["A"].coefficients[symbol].u, rel=1e-3
+        )
     radius = result.analyses["joint"].coefficients["centrifuge.radius.inward"]
-    assert radius.u == pytest.approx(found.platform["centrifuge.radius.inward"].u, rel=1e-4)
+    assert radius.u == pytest.approx(actual_result.platform["centrifuge.radius.inward"].u, rel=1e-4)
     assert radius.unit == "m"
 
 
@@ -250,8 +252,11 @@ def test_undetermined_coefficients_are_named(tmp_path):
 def test_trial_does_not_depend_on_worker(tmp_path):
     parts = STUDIES["arm, noise estimated"]
     engine = prepare_study(read_study(described(tmp_path, *parts)), 7)
-    one, again = engine.run_batch(3, 5, keep_trials=True), engine.run_batch(3, 5, keep_trials=True)
-    np.testing.assert_array_equal(one[1], again[1])
+    batch, again = (
+        engine.run_batch(3, 5, keep_trials=True),
+        engine.run_batch(3, 5, keep_trials=True),
+    )
+    np.testing.assert_array_equal(batch[1], again[1])
 
 
 SLIPS = {

@@ -12,7 +12,7 @@ from counterspin.studies.study import study
 def test_too_few_trials_have_no_verdict(tmp_path, trials):
     """At 4 trials of 4, of 3 and of 2 the intervals of every analysis hold 95 %, or may."""
     result = study(write_description(tmp_path, SMALL), trials=trials)
-    assert {one.trustworthy for one in result.analyses.values()} == {None}
+    assert {analyse.trustworthy for analyse in result.analyses.values()} == {None}
     first, *numbers = result.verdict
     assert first.startswith(f"{trials} trials are too few for a verdict")
     assert len(numbers) == len(result.analyses)
@@ -36,11 +36,11 @@ def test_interrupted_study_has_verdict_of_completed_trials(tmp_path):
     result = study(folder, trials=MIN_TRIALS, engine="full", progress=stop)
     assert not result.complete
     assert result.trials < MIN_TRIALS == result.trials_asked
-    assert {one.trustworthy for one in result.analyses.values()} == {None}
+    assert {analyse.trustworthy for analyse in result.analyses.values()} == {None}
     assert result.verdict[0].startswith(f"{result.trials} trials are too few")
 
 
 def test_enough_trials_have_verdict(tmp_path):
     result = study(write_description(tmp_path, SMALL), trials=MIN_TRIALS)
-    assert None not in {one.trustworthy for one in result.analyses.values()}
+    assert None not in {analyse.trustworthy for analyse in result.analyses.values()}
     assert "too few" not in " ".join(result.verdict)

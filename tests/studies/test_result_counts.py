@@ -26,19 +26,19 @@ def test_merged_batches_match_all_trials():
     sums = np.array(
         [accumulator.accumulate(estimate[p], truth[p], u[p], dof[p], [driven[p]]) for p in parts]
     )
-    found = summarise(accumulator, sums)
+    summary = summarise(accumulator, sums)
     error = estimate - truth
-    assert found.trials == 5000
-    assert found.bias == pytest.approx(error.mean(), rel=1e-12)
-    assert found.sd == pytest.approx(error.std(ddof=1), rel=1e-9)
-    assert found.mse == pytest.approx(np.mean(error**2), rel=1e-12)
-    assert found.truth == pytest.approx(truth.mean(), rel=1e-12)
-    for level, share in zip(CONFIDENCE_LEVELS, found.covered, strict=True):
+    assert summary.trials == 5000
+    assert summary.bias == pytest.approx(error.mean(), rel=1e-12)
+    assert summary.sd == pytest.approx(error.std(ddof=1), rel=1e-9)
+    assert summary.mse == pytest.approx(np.mean(error**2), rel=1e-12)
+    assert summary.truth == pytest.approx(truth.mean(), rel=1e-12)
+    for level, share in zip(CONFIDENCE_LEVELS, summary.covered, strict=True):
         k = stats.norm.ppf(0.5 + level / 2)
         assert share == np.mean(np.abs(error / u) <= k)
-    assert sum(found.histogram) == 5000
-    assert found.histogram[-1] == 5000  # all far beyond 6 u
-    counts, bias = found.against[DRIFT].trials, found.against[DRIFT].bias
+    assert sum(summary.histogram) == 5000
+    assert summary.histogram[-1] == 5000  # all far beyond 6 u
+    counts, bias = summary.against[DRIFT].trials, summary.against[DRIFT].bias
     assert sum(counts) == 5000
     low = driven < 0.1
     assert counts[0] == low.sum()
@@ -49,8 +49,8 @@ def test_coverage_uses_degrees_of_freedom_per_trial():
     rng = np.random.default_rng(6)
     z, dof = 3.0 * rng.standard_normal(20_000), rng.uniform(3.0, 60.0, 20_000)
     kept = TrialAccumulator(()).accumulate(z, np.zeros_like(z), np.ones_like(z), dof, [])
-    found = summarise(TrialAccumulator(()), kept[None])
-    for level, share in zip(CONFIDENCE_LEVELS, found.covered, strict=True):
+    summary = summarise(TrialAccumulator(()), kept[None])
+    for level, share in zip(CONFIDENCE_LEVELS, summary.covered, strict=True):
         direct = np.mean(np.abs(z) <= stats.t.ppf(0.5 + level / 2, dof))
         # The table's error of 1e-5 may move a trial or two across.
         assert share == pytest.approx(direct, abs=3.0 / z.size)

@@ -93,7 +93,7 @@ def test_paper_plan_is_unbiased_and_as_printed_method_is_half(paper):
     assert printed.sd == pytest.approx(3.223e-9, rel=5.0 / np.sqrt(2 * n) + 1e-3)
     joint = coefficient(result, "joint", "Qx.K_II")
     assert joint.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n) + 1e-4)
-    good = {name: one.trustworthy for name, one in result.analyses.items()}
+    good = {name: analyse.trustworthy for name, analyse in result.analyses.items()}
     assert good == {"joint": True, "two-stage": True, "as-printed": False}
     assert result.verdict[0].startswith("joint: no fault found, and the smallest errors")
     assert "0.5 times the true value" in result.verdict[-1]
@@ -118,7 +118,8 @@ def engines(folder, *names):
     setup, truth = setup_and_truth(description)
     analyses = list_analyses(description)
     return truth, [
-        [choose_engine(setup, truth, one, name).engine for one in analyses] for name in names
+        [choose_engine(setup, truth, analyse, name).engine for analyse in analyses]
+        for name in names
     ]
 
 
@@ -157,7 +158,9 @@ def test_velocity_records_have_coverage(tmp_path):
     folder = write(tmp_path / "a", text)
     n, few = 4000, 8
     result = study(folder, trials=n)
-    assert {name: one.engine for name, one in result.analyses.items()} == {"joint": "linear"}
+    assert {name: analyse.engine for name, analyse in result.analyses.items()} == {
+        "joint": "linear"
+    }
     whole = study(folder, trials=few, engine="full")
     low, high = chi_square_bounds(few)
     for name in ("Qx.K_II", "Qx.K_III"):
@@ -230,7 +233,9 @@ def test_linear_engine_raises_outside_validity(tmp_path, change, reason):
     folder = write(tmp_path / "a", change[1].join(PAPER.rsplit(change[0], 1)))
     description = read_study(folder)
     setup, truth = setup_and_truth(description)
-    two_stage = next(one for one in list_analyses(description) if one.name == "two-stage")
+    two_stage = next(
+        analyse for analyse in list_analyses(description) if analyse.name == "two-stage"
+    )
     with pytest.raises(NotIdentifiableError, match=reason):
         choose_engine(setup, truth, two_stage, "linear")
     assert choose_engine(setup, truth, two_stage, "auto").cost_class == "full"
@@ -300,10 +305,10 @@ def test_coloured_noise_requires_full_records(tmp_path, noise, reason):
     assert part.cost_class == "full"
     assert reason in part.description
     draws = truth.draw(random_stream(3, 0, 0), 2)
-    found = part.engine.run_trials(draws, random_stream(3, 0, 1))
-    assert np.all(np.abs(found.estimate[0] - draws.mean("Qx", "K_II")) < 5.0 * found.u[0])
+    results = part.engine.run_trials(draws, random_stream(3, 0, 1))
+    assert np.all(np.abs(results.estimate[0] - draws.mean("Qx", "K_II")) < 5.0 * results.u[0])
     plain = two_stage_part(tmp_path / "b", '[noise]\ndisplacement = "0.01 m"')[2].engine
-    ratio = found.u[1] / plain.run_trials(draws, random_stream(3, 0, 1)).u[1]
+    ratio = results.u[1] / plain.run_trials(draws, random_stream(3, 0, 1)).u[1]
     if "timing" in noise:
         # The angle corrects the time stamps: only the encoder's noise is left.
         np.testing.assert_allclose(ratio, 1.0, atol=1e-2)
@@ -326,9 +331,9 @@ def test_time_jitter_shifts_angle_and_output_together(tmp_path, method):
     (analysis,) = list_analyses(description)
     part = choose_engine(setup, truth, analysis, "full")
     draws = truth.draw(random_stream(3, 0, 0), trials)
-    found = part.engine.run_trials(draws, random_stream(3, 0, 1))
+    results = part.engine.run_trials(draws, random_stream(3, 0, 1))
     place = 0 if method == "two-stage" else 1
-    z = (found.estimate[place] - draws.mean("Qx", "K_II")) / found.u[place]
+    z = (results.estimate[place] - draws.mean("Qx", "K_II")) / results.u[place]
     assert math.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=4.0 / math.sqrt(2 * trials))
 
 
@@ -344,10 +349,10 @@ def test_u_of_study_matches_joint_fit(tmp_path, monkeypatch):
         return estimates[-1]
 
     monkeypatch.setattr(full_simulation, "estimate", remembered)
-    found = made.run_trials(truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1))
-    (fit,) = (one.fit for one in estimates)
+    results = made.run_trials(truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1))
+    (fit,) = (estimate.fit for estimate in estimates)
     assert fit.undetected_walks
-    assert found.u[:, 0] == pytest.approx(fit.solution.u[list(made.rows)], rel=1e-12)
+    assert results.u[:, 0] == pytest.approx(fit.solution.u[list(made.rows)], rel=1e-12)
 
 
 def test_noise_levels_vary(tmp_path):
@@ -373,11 +378,11 @@ sigma = "residuals"
     assert np.all(
         (draws.noise_levels["noise.angle"] >= 1e-6) & (draws.noise_levels["noise.angle"] <= 3e-6)
     )
-    found = part.engine.run_trials(draws, random_stream(3, 0, 1))
+    results = part.engine.run_trials(draws, random_stream(3, 0, 1))
     quiet = replace(draws, noise_levels={})
     still = part.engine.run_trials(quiet, random_stream(3, 0, 1))
     # Steps of 30 mm add 30/sqrt(12) = 8.7 mm to 10 mm of noise: sigma grows by sqrt(1 + 0.75).
-    assert np.median(found.u[0] / still.u[0]) == pytest.approx(np.sqrt(1.75), rel=0.15)
+    assert np.median(results.u[0] / still.u[0]) == pytest.approx(np.sqrt(1.75), rel=0.15)
 
 
 def joint_part(folder, text):
@@ -459,17 +464,21 @@ def test_default_priors_have_coverage(tmp_path):
     folder = write(tmp_path / "unstated", UNSTATED)
     result = study(folder, trials=n)
     assert result.analyses["joint"].engine == "linear"
-    found = {name: coefficient(result, "joint", f"Qx.{name}") for name in ("K_II", "K_III")}
-    for c in found.values():
+    coefficient_results = {
+        name: coefficient(result, "joint", f"Qx.{name}") for name in ("K_II", "K_III")
+    }
+    for c in coefficient_results.values():
         assert c.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n))
         assert c.sd == pytest.approx(c.u, rel=5.0 / np.sqrt(2 * n))
         assert abs(c.bias) < 4.0 * c.se_bias
     simulate(read_study(folder).campaign, tmp_path / "made")
     calibrated = calibrate(tmp_path / "made")
-    assert calibrated.coefficient("Qx.K_II").u == pytest.approx(found["K_II"].u, rel=1e-4)
+    assert calibrated.coefficient("Qx.K_II").u == pytest.approx(
+        coefficient_results["K_II"].u, rel=1e-4
+    )
     # Whole records, without any shortcut, scatter alike: 20 trials know that to 16 %.
     whole = coefficient(study(folder, trials=20, engine="full"), "joint", "Qx.K_II")
-    assert whole.u == pytest.approx(found["K_II"].u, rel=1e-4)
+    assert whole.u == pytest.approx(coefficient_results["K_II"].u, rel=1e-4)
     assert whole.sd / whole.u == pytest.approx(1.0, abs=0.64)
 
 
@@ -704,9 +713,9 @@ def test_study_file_names_campaign(paper, tmp_path):
 
 def test_chosen_terms_replace_terms_of_model(tmp_path):
     text = PAPER + '[study.analyses.few]\nmethod = "joint"\nterms = ["K_F", "K_II"]\n'
-    (one,) = read_study(write(tmp_path / "a", text)).analyses
-    assert one.campaign.model.terms == ("K_F", "K_II")
-    assert one.campaign.model.considered == ()
+    (analyse,) = read_study(write(tmp_path / "a", text)).analyses
+    assert analyse.campaign.model.terms == ("K_F", "K_II")
+    assert analyse.campaign.model.considered == ()
 
 
 def test_campaign_without_truth_raises(tmp_path):
@@ -724,8 +733,10 @@ def test_unsupported_records_raise(tmp_path):
 def test_joint_fit_without_angle_uses_full_records(tmp_path):
     text = SHORT.replace('angle = { column = "angle_rad", unit = "rad" }', "")
     text += '[study.analyses.joint]\nmethod = "joint"\n'
-    (found,) = study(write(tmp_path / "angle", text), trials=4).analyses.values()
-    assert found.engine == "full records (no angle is recorded, so the rotation must be estimated)"
+    (analyse,) = study(write(tmp_path / "angle", text), trials=4).analyses.values()
+    assert (
+        analyse.engine == "full records (no angle is recorded, so the rotation must be estimated)"
+    )
 
 
 # The command

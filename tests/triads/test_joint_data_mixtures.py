@@ -66,10 +66,10 @@ def test_arm_determines_second_order_terms_of_triad(tmp_path):
     result = _calibrated(tmp_path / "both", _poses(24) + _arm(), ASKED + MEASURED)
     alone = _calibrated(tmp_path / "poses", _poses(24), ASKED)
     for name, true in SQUARES.items():
-        found = result.coefficient(f"{name}.K_II")
-        assert abs(found.value - true) < 4.0 * found.u
+        coefficient = result.coefficient(f"{name}.K_II")
+        assert abs(coefficient.value - true) < 4.0 * coefficient.u
         # Poses alone leave them open beside what nothing states.
-        assert found.u < 3e-5 < 0.1 * alone.coefficient(f"{name}.K_II").u
+        assert coefficient.u < 3e-5 < 0.1 * alone.coefficient(f"{name}.K_II").u
         assert {kind.kind for kind in result.accelerometers[name].kinds} == {"arm", "poses"}
     for k, name in enumerate(triads.NAMES):
         offset, plain = (r.triad.parameters[f"offset.{name}"] for r in (result, alone))
@@ -114,6 +114,6 @@ def test_known_attitude_determines_rotation_of_triad(tmp_path):
         assert both.triad.parameters[name].value == pytest.approx(c.value, abs=1e-6)
         assert both.triad.parameters[name].u <= c.u
     # X's input axis lies a milliradian towards north: K_I times that along its pendulous axis.
-    found = both.coefficient("X.delta_O")
-    assert found.value == pytest.approx(angle * triads.ROWS[0, 0], abs=1e-5)
+    coefficient = both.coefficient("X.delta_O")
+    assert coefficient.value == pytest.approx(angle * triads.ROWS[0, 0], abs=1e-5)
     assert both.state == "good"

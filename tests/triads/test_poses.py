@@ -38,12 +38,18 @@ def _dense(values, weight):
         )
         return (weight * (values - unit @ rows.T - x[:3])).ravel()
 
-    found = least_squares(left, first, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    triangle = np.linalg.qr(found.jac, mode="r")
+    actual_least_squares = least_squares(
+        left, first, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
+    triangle = np.linalg.qr(actual_least_squares.jac, mode="r")
     inverse = np.linalg.inv(triangle)
     covariance = (inverse @ inverse.T)[:9, :9]
     freedom = 3 * n - first.size
-    return triads.SIGNS * found.x[:9], covariance, float(found.fun @ found.fun) / freedom
+    return (
+        triads.SIGNS * actual_least_squares.x[:9],
+        covariance,
+        float(actual_least_squares.fun @ actual_least_squares.fun) / freedom,
+    )
 
 
 def _nominal():
@@ -65,8 +71,8 @@ def test_fit_matches_dense_fit_with_all_angles(stated):
         assert group.noise == pytest.approx(math.sqrt(scale), rel=1e-6)
         assert group.noise_dof == pytest.approx(16.0, abs=1e-6)
     u_of = np.sqrt(np.diag(covariance))
-    found = fit.solution.estimate + _nominal()
-    assert np.max(np.abs(found - expected) / u_of) < 1e-6
+    estimate = fit.solution.estimate + _nominal()
+    assert np.max(np.abs(estimate - expected) / u_of) < 1e-6
     # The derivatives of the dense fit are differences, good to seven digits.
     signs = np.outer(triads.SIGNS, triads.SIGNS)
     np.testing.assert_allclose(
@@ -82,8 +88,8 @@ def test_sensor_with_large_errors_needs_no_initial_guess():
     along = triads.draw_directions(15, np.random.default_rng(2))
     values = triads.compute_indications(along, rows, bias)
     fit = solve_readings([triads.make_poses(values, 1e-4)], triads.make_unknowns())
-    found = fit.solution.estimate + _nominal()
-    np.testing.assert_allclose(found, triads.true_parameters(rows, bias), atol=1e-9)
+    estimate = fit.solution.estimate + _nominal()
+    np.testing.assert_allclose(estimate, triads.true_parameters(rows, bias), atol=1e-9)
 
 
 def test_nine_poses_without_noise_determine_nine_parameters():
@@ -91,8 +97,8 @@ def test_nine_poses_without_noise_determine_nine_parameters():
     fit = solve_readings(
         [triads.make_poses(triads.compute_indications(along), 1e-4)], triads.make_unknowns()
     )
-    found = fit.solution.estimate + _nominal()
-    np.testing.assert_allclose(found, triads.true_parameters(), atol=1e-9)
+    estimate = fit.solution.estimate + _nominal()
+    np.testing.assert_allclose(estimate, triads.true_parameters(), atol=1e-9)
 
 
 def test_fewer_poses_than_unknowns_raise():
@@ -128,7 +134,9 @@ def _few(model, generator):
     true = np.append(triads.true_parameters() - _nominal(), np.zeros(18))
     probe = triads.make_poses(values)
     columns = probe.linearize(model, true).design[:, 9:]
-    drawn = np.array([one.prior[1] for one in model.unknowns[9:]]) * generator.standard_normal(18)
+    drawn = np.array(
+        [unknown.prior[1] for unknown in model.unknowns[9:]]
+    ) * generator.standard_normal(18)
     off = columns @ drawn + NOISE * generator.standard_normal(13)
     return triads.make_poses(values + probe.at(model, true).projection * off[:, None])
 
@@ -161,7 +169,7 @@ def test_few_poses_match_dense_least_squares(model_with_default_priors):
     estimated, (part,) = estimate_with_groups(None, model, [poses])
     solution = estimated.fit.solution
     design = poses.linearize(model, solution.estimate).design
-    shared = design[:, 9:] * [one.prior[1] for one in model.unknowns[9:]]
+    shared = design[:, 9:] * [unknown.prior[1] for unknown in model.unknowns[9:]]
     total = part.noise**2 * np.eye(13) + shared @ shared.T
     covariance = np.linalg.inv(design[:, :9].T @ np.linalg.solve(total, design[:, :9]))
     np.testing.assert_allclose(solution.u[:9], np.sqrt(np.diag(covariance)), rtol=1e-6)
@@ -173,9 +181,9 @@ def test_second_order_terms_are_estimated_exactly_without_noise():
     values = triads.compute_indications(along, squares=squares)
     model = triads.make_unknowns([(name, "K_II") for name in triads.NAMES])
     fit = solve_readings([triads.make_poses(values, 1e-4)], model)
-    found = fit.solution.estimate
-    np.testing.assert_allclose(found[9:], squares, atol=1e-9)
-    np.testing.assert_allclose(found[:9] + _nominal(), triads.true_parameters(), atol=1e-9)
+    estimate = fit.solution.estimate
+    np.testing.assert_allclose(estimate[9:], squares, atol=1e-9)
+    np.testing.assert_allclose(estimate[:9] + _nominal(), triads.true_parameters(), atol=1e-9)
 
 
 def test_outlying_pose_has_smallest_p_value():

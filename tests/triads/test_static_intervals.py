@@ -38,48 +38,48 @@ def assert_poses_found(
 )
 def test_rests_are_found_for_any_duty_cycle(rest: float, motion: float) -> None:
     truth = simulate_poses(rest, motion)
-    found = find_poses(truth.time, truth.values)
-    assert_poses_found(truth, found)
-    assert found.warnings == ()
-    assert found.rejected == ()
-    assert found.scatter == pytest.approx(NOISE, rel=0.3)
+    poses = find_poses(truth.time, truth.values)
+    assert_poses_found(truth, poses)
+    assert poses.warnings == ()
+    assert poses.rejected == ()
+    assert poses.scatter == pytest.approx(NOISE, rel=0.3)
     # Twice the noise of three axes together.
-    assert found.threshold == pytest.approx(2.0 * np.sqrt(3.0) * NOISE, rel=0.05)
+    assert poses.threshold == pytest.approx(2.0 * np.sqrt(3.0) * NOISE, rel=0.05)
 
 
 def test_level_is_moving_standard_deviation() -> None:
     # Of a quiet instrument in a long record: sums over all of it would be off by some percent. What
     # rounding leaves is eps (10 m/s^2)^2 over twice the variance of three axes, 4e-5, at most.
     truth = simulate_poses(4.0, 1.5, count=120, noise=1e-5)
-    found = find_poses(truth.time, truth.values)
-    assert len(found.start) == 120
-    assert found.spikes.sum() == 0.0
-    whole = np.isfinite(found.level)
+    poses = find_poses(truth.time, truth.values)
+    assert len(poses.start) == 120
+    assert poses.spikes.sum() == 0.0
+    whole = np.isfinite(poses.level)
     for place in np.linspace(60, len(truth.time) - 61, 50).astype(int):
         window = slice(place - 50, place + 51)
         if whole[window].all():
             exact = np.sqrt(truth.values[window].var(axis=0, ddof=1).sum())
-            assert found.level[place] == pytest.approx(exact, rel=4e-5)
+            assert poses.level[place] == pytest.approx(exact, rel=4e-5)
 
 
 def test_decimated_level_preserves_motion() -> None:
     truth = simulate_poses(4.0, 1.5)
-    found = find_poses(truth.time, truth.values)
-    time, level = found.trace(100)
+    poses = find_poses(truth.time, truth.values)
+    time, level = poses.trace(100)
     assert len(time) == len(level) == 100
-    assert level.max() == np.nanmax(found.level)
+    assert level.max() == np.nanmax(poses.level)
     moving = [(time > end) & (time < end + 1.5) for end in truth.end[:-1]]
-    assert all(level[at].max() > 5.0 * found.threshold for at in moving)
-    assert len(found.trace(100_000)[0]) == np.isfinite(found.level).sum()
+    assert all(level[at].max() > 5.0 * poses.threshold for at in moving)
+    assert len(poses.trace(100_000)[0]) == np.isfinite(poses.level).sum()
 
 
 def test_stated_threshold_and_rest_are_used() -> None:
     truth = simulate_poses(4.0, 1.5)
     assert len(find_poses(truth.time, truth.values, threshold=0.1).start) == 12
-    one = find_poses(truth.time, truth.values, threshold=50.0)
-    assert len(one.start) == 1
-    assert one.threshold == 50.0
-    assert "The record contains no motion," in one.warnings[0]
+    poses = find_poses(truth.time, truth.values, threshold=50.0)
+    assert len(poses.start) == 1
+    assert poses.threshold == 50.0
+    assert "The record contains no motion," in poses.warnings[0]
     with raises("no-rest", "5 s", "threshold"):
         find_poses(truth.time, truth.values, rest=5.0)
     with raises("no-rest", "1.5 s", "0.01"):
@@ -101,8 +101,8 @@ def test_outlier_at_either_end_changes_no_pose(row: int, size: float) -> None:
     expected = find_poses(truth.time, truth.values).mean
     values = truth.values.copy()
     values[row, 1] = size
-    found = find_poses(truth.time, values)
-    assert found.mean == pytest.approx(expected, abs=NOISE)
+    poses = find_poses(truth.time, values)
+    assert poses.mean == pytest.approx(expected, abs=NOISE)
 
 
 def test_outliers_and_empty_cells_do_not_split_rest() -> None:
@@ -113,11 +113,11 @@ def test_outliers_and_empty_cells_do_not_split_rest() -> None:
     values[spikes, 1] += 30.0
     values[np.array(spikes) + 40, 2] = -1e9
     values[rng.choice(len(values), 300, replace=False), 0] = np.nan
-    found = find_poses(truth.time, values)
-    assert_poses_found(truth, found)
+    poses = find_poses(truth.time, values)
+    assert_poses_found(truth, poses)
     seen = ~np.isnan(values[:, 0])
-    assert found.spikes.tolist() == [0, seen[spikes].sum(), seen[np.array(spikes) + 40].sum()]
-    assert np.isnan(found.level[spikes]).all()
+    assert poses.spikes.tolist() == [0, seen[spikes].sum(), seen[np.array(spikes) + 40].sum()]
+    assert np.isnan(poses.level[spikes]).all()
 
 
 def test_gap_ends_pose() -> None:
@@ -125,10 +125,10 @@ def test_gap_ends_pose() -> None:
     keep = np.ones(len(truth.time), dtype=bool)
     middle = round((truth.start[3] + 3.0) / STEP)
     keep[middle - 40 : middle + 40] = False
-    found = find_poses(truth.time[keep], truth.values[keep])
-    assert len(found.start) == 13
-    assert found.end[3] == pytest.approx(truth.time[middle - 41])
-    assert found.start[4] == pytest.approx(truth.time[middle + 40])
+    poses = find_poses(truth.time[keep], truth.values[keep])
+    assert len(poses.start) == 13
+    assert poses.end[3] == pytest.approx(truth.time[middle - 41])
+    assert poses.start[4] == pytest.approx(truth.time[middle + 40])
     few = np.ones(len(truth.time), dtype=bool)
     few[middle - 10 : middle + 10] = False  # a fifth of a second is no gap
     assert len(find_poses(truth.time[few], truth.values[few]).start) == 12
@@ -139,18 +139,18 @@ def test_nonuniform_sampling_is_accepted() -> None:
     rng = np.random.default_rng(4)
     keep = rng.random(len(truth.time)) < 0.4
     time = truth.time + rng.uniform(-0.004, 0.004, len(truth.time))
-    found = find_poses(time[keep], truth.values[keep])
-    assert len(found.start) == 12
-    assert np.abs(found.start - truth.start).max() < 0.7
-    off = (found.mean - truth.force) / (NOISE / np.sqrt(found.count))[:, None]
+    poses = find_poses(time[keep], truth.values[keep])
+    assert len(poses.start) == 12
+    assert np.abs(poses.start - truth.start).max() < 0.7
+    off = (poses.mean - truth.force) / (NOISE / np.sqrt(poses.count))[:, None]
     assert np.abs(off).max() < 5.0
 
 
 def test_low_sampling_rate_is_sufficient_for_long_rests() -> None:
     truth = simulate_poses(60.0, 10.0)
     thin = slice(None, None, 100)
-    found = find_poses(truth.time[thin], truth.values[thin], rest=20.0)
-    assert len(found.start) == 12
+    poses = find_poses(truth.time[thin], truth.values[thin], rest=20.0)
+    assert len(poses.start) == 12
     with raises("too-few-rows", "1 s"):
         find_poses(truth.time[thin], truth.values[thin])
 
@@ -161,18 +161,18 @@ def test_drift_is_not_motion_and_slow_rotation_warns() -> None:
     assert len(find_poses(truth.time, truth.values + drift).start) == 12
     turned = np.array([9.81 * np.sin(0.01 * truth.time), 0.0 * truth.time, 0.0 * truth.time]).T
     noise = NOISE * np.random.default_rng(5).normal(size=turned.shape)
-    found = find_poses(truth.time, turned + noise)
-    assert any("rotated slowly" in doubt for doubt in found.warnings)
+    poses = find_poses(truth.time, turned + noise)
+    assert any("rotated slowly" in doubt for doubt in poses.warnings)
 
 
 @pytest.mark.parametrize("digit", [0.005, 0.05, 0.2])
 def test_coarse_resolution_preserves_poses(digit: float) -> None:
     truth = simulate_poses(4.0, 1.5)
     values = np.round(truth.values / digit) * digit
-    found = find_poses(truth.time, values)
-    assert len(found.start) == 12
-    assert np.abs(found.mean - truth.force).max() < 0.01 + 0.5 * digit
-    assert found.rejected == ()
+    poses = find_poses(truth.time, values)
+    assert len(poses.start) == 12
+    assert np.abs(poses.mean - truth.force).max() < 0.01 + 0.5 * digit
+    assert poses.rejected == ()
 
 
 def test_saturated_and_constant_rests_are_rejected() -> None:
@@ -180,32 +180,32 @@ def test_saturated_and_constant_rests_are_rejected() -> None:
     top = np.sort(truth.force[:, 0])[-1] - 0.5
     cut = np.minimum(truth.values, [top, np.inf, np.inf])
     hit = truth.force[:, 0] > top
-    found = find_poses(truth.time, cut)
-    assert_poses_found(truth, found, ~hit)
-    assert len(found.rejected) == hit.sum()
-    assert "along axis 1 are the largest or smallest of the record" in found.rejected[0]
+    poses = find_poses(truth.time, cut)
+    assert_poses_found(truth, poses, ~hit)
+    assert len(poses.rejected) == hit.sum()
+    assert "along axis 1 are the largest or smallest of the record" in poses.rejected[0]
     held = truth.values.copy()
     first = round(truth.start[5] / STEP)
     held[first : first + 400] = held[first]
-    found = find_poses(truth.time, held)
-    assert len(found.start) == 11
-    assert "all values are identical" in found.rejected[0]
+    poses = find_poses(truth.time, held)
+    assert len(poses.start) == 11
+    assert "all values are identical" in poses.rejected[0]
     # One axis hangs, from within one rest to within another: both are left out, and those between.
     hung = truth.values.copy()
     last = round(truth.start[7] / STEP) + 400
     hung[first:last, 1] = hung[first, 1]
-    found = find_poses(truth.time, hung)
-    assert len(found.start) == 9
-    assert len(found.rejected) == 3
-    assert "axis 2 does not change" in found.rejected[0]
+    poses = find_poses(truth.time, hung)
+    assert len(poses.start) == 9
+    assert len(poses.rejected) == 3
+    assert "axis 2 does not change" in poses.rejected[0]
 
 
 def test_unclear_separation_of_rest_and_motion_warns() -> None:
     rng = np.random.default_rng(6)
     time = np.arange(6000) * STEP
     loud = np.where(np.sin(2.0 * np.pi * time / 10.0) > 0.0, 1.0, 2.2)[:, None]
-    found = find_poses(time, loud * rng.normal(size=(6000, 3)))
-    assert any("not clearly separated" in doubt for doubt in found.warnings)
+    poses = find_poses(time, loud * rng.normal(size=(6000, 3)))
+    assert any("not clearly separated" in doubt for doubt in poses.warnings)
     still = find_poses(time, NOISE * rng.normal(size=(6000, 3)))
     assert len(still.start) == 1
     assert "The record contains no motion, " in still.warnings[0]

@@ -136,10 +136,10 @@ def test_limit_must_be_exceeded_by_three_standard_uncertainties(
     tmp_path, value, u, estimated, told
 ):
     campaign = read_campaign(write_description(tmp_path, SMALL))
-    found = check_credibility(
+    credibility = check_credibility(
         campaign.limit_of, "Qx", {"K_II": make_coefficient(value, u, estimated=estimated)}
     )
-    assert [finding.subject for finding in found] == ["Qx.K_II"] * told
+    assert [finding.subject for finding in credibility] == ["Qx.K_II"] * told
 
 
 @pytest.mark.parametrize("method", ["joint", "two-stage"])

@@ -137,13 +137,13 @@ def test_overstated_noise_of_strobes_is_finding(tmp_path):
     right = calibrate(campaign.parent, method="two-stage")
     assert [f.code for f in right.findings if f.code == "wrong-noise"] == []
     campaign.write_text(replace_parts(campaign.read_text(), ('"0.001 m"', '"0.01 m"')))
-    found = {
+    actual_findings = {
         method: calibrate(campaign.parent, method=method).findings
         for method in ("joint", "two-stage")
     }
-    for findings in found.values():
+    for findings in actual_findings.values():
         assert [(f.code, f.subject) for f in findings] == [("wrong-noise", "Qx")]
-    joint, strobes = (findings[0].text for findings in found.values())
+    joint, strobes = (findings[0].text for findings in actual_findings.values())
     shown = float(re.search(r"Noise of this size, ([\d.]+) m, would fit", joint).group(1))
     assert shown == pytest.approx(1e-3, rel=0.05)
     shown = float(re.search(r"noise: ([\d.]+) m instead of 0\.01 m", strobes).group(1))

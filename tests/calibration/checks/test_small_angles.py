@@ -54,11 +54,11 @@ def test_second_order_of_tilt_changes_named_coefficients(tmp_path, key):
     assert large_tilt_findings(level) == {}
     findings = large_tilt_findings(tilted)
     assert set(findings) == {"Qx.K_I"}
-    one, other = (r.accelerometers["Qx"].coefficients["K_I"] for r in (level, tilted))
+    first, second = (r.accelerometers["Qx"].coefficients["K_I"] for r in (level, tilted))
     # -psi^2/2 and, from K_II (a_I - psi)^2, -2 K_II psi
     expected = -0.5 * (20 * ARCMIN) ** 2 - 2.0 * 2.7e-5 * 20 * ARCMIN
-    assert other.value - one.value == pytest.approx(expected, abs=0.3 * other.u)
-    assert findings["Qx.K_I"].size == pytest.approx(-expected / other.u, rel=0.02)
+    assert second.value - first.value == pytest.approx(expected, abs=0.3 * second.u)
+    assert findings["Qx.K_I"].size == pytest.approx(-expected / second.u, rel=0.02)
     assert findings["Qx.K_I"].size > 1.0
     assert tilted.state == "reservations"
     assert "may reach 1.2e+03 arcsec (estimate plus 2 u)" in findings["Qx.K_I"].text

@@ -55,11 +55,11 @@ class Campaigns:
         known = [u for u in self.model.unknowns if math.isfinite(u.prior[1])]
         off = {unknown: unknown.prior[1] * rng.standard_normal() for unknown in known}
         series = [self._noisy(i, one, off, rng) for i, one in enumerate(self.clean)]
-        found = estimate(series, self.model, make_noise(self.campaign))
+        estimation = estimate(series, self.model, make_noise(self.campaign))
         names = [unknown.name for unknown in self.model.of_interest]
-        determined = assess(found.fit.solution, names)
+        determined = assess(estimation.fit.solution, names)
         views = [
-            AccelerometerView(JointProblem(self.campaign), found, determined, name)
+            AccelerometerView(JointProblem(self.campaign), estimation, determined, name)
             for name in self.campaign.accelerometers
         ]
         return search.find_causes(views, {view.name: make_accelerometer(view) for view in views})
@@ -121,12 +121,12 @@ def test_no_search_without_suspicious_checks(tmp_path, monkeypatch):
 def test_alternatives_have_credible_range(tmp_path):
     """The range of an input is physical: latitudes up to the poles, gravity on the Earth."""
     given = Campaigns(tmp_path, CORRECT_DESCRIPTION, 0.0)
-    found = estimate(given.clean, given.model, make_noise(given.campaign))
-    now = replace(found, fit=estimate_considered(found.fit), compressed_fit=None)
+    estimation = estimate(given.clean, given.model, make_noise(given.campaign))
+    now = replace(estimation, fit=estimate_considered(estimation.fit), compressed_fit=None)
     names = [unknown.name for unknown in given.model.of_interest]
-    determined = assess(found.fit.solution, names)
+    determined = assess(estimation.fit.solution, names)
     views = [
-        AccelerometerView(JointProblem(given.campaign), found, determined, name)
+        AccelerometerView(JointProblem(given.campaign), estimation, determined, name)
         for name in given.campaign.accelerometers
     ]
     others = [*prior_alternatives(now.fit), *search._alternative_hypotheses(views, now)]
@@ -159,21 +159,21 @@ def test_equivalent_alternatives_have_fixed_order(off):
     stated = tuple(Alternative("prior", *name) for name in names)
     u = np.array([1.0, 3.0, 2.0])
     size = 8.0 * np.array([1.0 + off, 1.0, 1.0 - off])
-    found = ranking._rank_rivals(
+    actual_ranking = ranking._rank_rivals(
         ScoreTests(stated, size * u, u, size, 1e4), int(np.argmax(size)), True
     )
-    assert found.alternative.symbol == "centrifuge.radius"
-    assert [other.symbol for other, _ in found.rivals] == ["K_I", "K_F"]
+    assert actual_ranking.alternative.symbol == "centrifuge.radius"
+    assert [other.symbol for other, _ in actual_ranking.rivals] == ["K_I", "K_F"]
 
 
 def test_common_tilt_of_all_runs_is_single_alternative(tmp_path):
     given = Campaigns(tmp_path, CORRECT_DESCRIPTION, 0.0)
-    found = estimate(given.clean, given.model, make_noise(given.campaign))
+    estimation = estimate(given.clean, given.model, make_noise(given.campaign))
     terms = {
         Considered(run, "platform.tilt.up", (0.0, 0.0), 1e-2): 5e-5
         for run in ("slow", "middle", "fast")
     }
-    *single, together = mistakes.term_mistakes(estimate_considered(found.fit), terms)
+    *single, together = mistakes.term_mistakes(estimate_considered(estimation.fit), terms)
     assert [other.name for other in single] == [f"{run}.platform.tilt.up" for run in RUNS]
     assert together.name == "platform.tilt.up"
     for i, column in together.columns.items():
@@ -200,9 +200,9 @@ def test_distant_latitude_ranks_after_equivalent_term(value, first):
     values = np.array([value, 5e-4])
     size = np.array([8.0, 8.0])
     every = ScoreTests((latitude, large), values, np.abs(values) / size, size, 1e4)
-    found = ranking._rank_rivals(every, 0, True)
-    assert found.alternative.symbol == first
-    assert len(found.rivals) == 1
+    actual_ranking = ranking._rank_rivals(every, 0, True)
+    assert actual_ranking.alternative.symbol == first
+    assert len(actual_ranking.rivals) == 1
 
 
 @pytest.mark.parametrize(("records", "shift", "suspicious"), [(3, 3.1, True), (3, 2.9, False)])

@@ -112,29 +112,29 @@ def test_typical_or_tested_input_has_no_remark(tmp_path, size, monkeypatch):
 
 def test_untested_clock_of_single_run_has_remark(tmp_path):
     """An error of 20 ppm shifts K_III and does not appear in the residuals."""
-    made = tmp_path / "made"
-    simulate(write_and_read_campaign(tmp_path / "true", RECORDED), made)
-    result = calibrate(made)
+    folder = tmp_path / "made"
+    simulate(write_and_read_campaign(tmp_path / "true", RECORDED), folder)
+    result = calibrate(folder)
     assert (result.state, result.findings) == ("good", [])
     (text,) = untested_remarks(result)
     run, shift = re.search(
         r"if the clock during (\w+) only has an error of 20 ppm, the error of K_III is ([\d.]+) ug",
         text,
     ).groups()
-    record = made / f"{run}.csv"
+    record = folder / f"{run}.csv"
     head, *rows = record.read_text().splitlines()
     late = (row.split(",", 1) for row in rows)
     record.write_text(
         "\n".join([head, *(f"{float(time) * (1 + 2e-5):.12g},{rest}" for time, rest in late)])
     )
-    off = calibrate(made)
+    off = calibrate(folder)
     assert off.state == "good"
     before, after = (one.accelerometers["Qx"].coefficients["K_III"] for one in (result, off))
     assert 1e6 * abs(after.value - before.value) == pytest.approx(float(shift), rel=0.1)
     # A second recorder has a separate clock, whose uncertainty is in u.
-    text = (made / "campaign.toml").read_text()
+    text = (folder / "campaign.toml").read_text()
     line = f'record = "{run}.csv"'
     named = replace_parts(text, (line, f'{line}\nrecords = {{ recorder = "B" }}'))
-    own = calibrate(write_description(made, named).parent)
+    own = calibrate(write_description(folder, named).parent)
     assert f"clock during {run}" not in "".join(untested_remarks(own))
     assert own.accelerometers["Qx"].coefficients["K_III"].u > 1.5 * before.u

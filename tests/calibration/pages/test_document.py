@@ -191,11 +191,11 @@ def test_command_of_two_stage_result_states_method():
 
 def test_command_is_quoted_for_shell():
     options = ["--method=two-stage", "--sigma=a b; rm -r ~ $(x) `y` 'z'"]
-    found = make_qx_result()
-    found = found.model_copy(
-        update={"provenance": found.provenance.model_copy(update={"options": options})}
+    qx_result = make_qx_result()
+    qx_result = qx_result.model_copy(
+        update={"provenance": qx_result.provenance.model_copy(update={"options": options})}
     )
-    (command,) = (b.text for b in build_document(found) if getattr(b, "style", "") == "command")
+    (command,) = (b.text for b in build_document(qx_result) if getattr(b, "style", "") == "command")
     assert shlex.split(command) == ["counterspin", "calibrate", ".", *options]
 
 
@@ -210,10 +210,14 @@ def test_text_without_plots_has_no_empty_chapters():
     picture = next(
         residual_plots("Qx", make_qx_result().accelerometers["Qx"], make_qx_result().runs)
     )
-    one, two, deep, said = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
-    assert remove_pictures([one, deep, picture, two, said]) == [two, said]
-    assert remove_pictures([one, picture, deep, said, two, picture]) == [one, deep, said]
-    assert remove_pictures([one, said, picture, picture, two]) == [one, said, two]
+    heading, two, deep, paragraph = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
+    assert remove_pictures([heading, deep, picture, two, paragraph]) == [two, paragraph]
+    assert remove_pictures([heading, picture, deep, paragraph, two, picture]) == [
+        heading,
+        deep,
+        paragraph,
+    ]
+    assert remove_pictures([heading, paragraph, picture, picture, two]) == [heading, paragraph, two]
 
 
 def test_identifier_depends_on_result():
@@ -337,8 +341,8 @@ def test_strongly_correlated_estimates_are_listed(correlation, rows):
         if rows
         else "No correlation between two estimates exceeds 0.9 in magnitude."
     )
-    found = [table.rows for table in tables if table.columns[0].title == "Estimate"]
-    assert found == ([tuple(rows)] if rows else [])
+    actual_rows = [table.rows for table in tables if table.columns[0].title == "Estimate"]
+    assert actual_rows == ([tuple(rows)] if rows else [])
 
 
 def test_ripple_is_relative_to_magnitude_of_rate():

@@ -65,8 +65,8 @@ def test_json_follows_contract(tmp_path, capsys):
     assert "K_II of Qx = " in capsys.readouterr().out
     document = json.loads(file.read_text(encoding="utf-8"))
     assert (document["schema"], document["method"], document["model"]) == (2, "two-stage", "exact")
-    found = document["accelerometers"]["Qx"]
-    k_ii = found["coefficients"]["K_II"]
+    qx = document["accelerometers"]["Qx"]
+    k_ii = qx["coefficients"]["K_II"]
     assert set(k_ii) == {
         *("value", "u", "u_noise", "u_stated", "u_unstated"),
         *("dof", "unit", "estimated"),
@@ -78,9 +78,9 @@ def test_json_follows_contract(tmp_path, capsys):
     for name, truth in K_II.items():
         c = document["accelerometers"][name]["coefficients"]["K_II"]
         assert abs(c["value"] - truth) < 4 * c["u"]
-    assert found["correlation"]["terms"] == ["K_II", "K_F"]
-    assert found["correlation"]["matrix"][0][0] == pytest.approx(1.0, rel=1e-12)
-    residual = found["residual"]
+    assert qx["correlation"]["terms"] == ["K_II", "K_F"]
+    assert qx["correlation"]["matrix"][0][0] == pytest.approx(1.0, rel=1e-12)
+    residual = qx["residual"]
     assert residual["unit"] == "m"
     assert residual["dof"] == 3 * 20 - 9
     assert residual["rms"] == pytest.approx(0.01, rel=0.4)
@@ -277,8 +277,8 @@ def test_comparison_in_joint_result_uses_joint_estimates(tmp_path):
     jointly = qx(calibrate(folder))
     k_iii = jointly.coefficients["K_III"]
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
-    told = f'{PRIORS[0]}\nK_III = "{k_iii.value!r} ± {k_iii.u!r} g/g^3"'
-    write_description(folder, replace_parts(text, (PRIORS[0], told)))
+    actual_text = f'{PRIORS[0]}\nK_III = "{k_iii.value!r} ± {k_iii.u!r} g/g^3"'
+    write_description(folder, replace_parts(text, (PRIORS[0], actual_text)))
     c = qx(calibrate(folder, method="two-stage")).coefficients["K_II"]
     comparison = jointly.two_stage
     assert (comparison.value, comparison.u) == pytest.approx((c.value, c.u), rel=1e-9)
@@ -466,8 +466,8 @@ def test_combination_equals_sum_of_true_terms(tmp_path):
 
 
 def test_two_confounded_requested_terms_are_undetermined(tmp_path):
-    asked = extend_model('terms = ["K_F", "K_II", "K_OO"]')
-    accelerometer = qx(calibrate_records(tmp_path, asked))
+    extend_model_result = extend_model('terms = ["K_F", "K_II", "K_OO"]')
+    accelerometer = qx(calibrate_records(tmp_path, extend_model_result))
     for symbol in ("K_II", "K_OO"):
         c = accelerometer.coefficients[symbol]
         assert (c.estimated, c.value) == (False, None)

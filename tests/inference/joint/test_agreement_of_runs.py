@@ -21,7 +21,7 @@ K_II = 2
 
 def fitted(seed, request, model=MODEL):
     rng = np.random.default_rng(seed)
-    series = [add_noise(one, Noise(WHITE), rng) for one in simulate_three_rates(TRUTH)]
+    series = [add_noise(record, Noise(WHITE), rng) for record in simulate_three_rates(TRUTH)]
     return estimate(series, model, {"Qx": request}, rejects_outliers=False)
 
 
@@ -80,18 +80,20 @@ def test_additional_noise_is_propagated_by_gains(fit_with_given_noise):
 
 
 def test_shift_has_degrees_of_freedom_of_estimated_noise():
-    found = fitted(2, Noise(ESTIMATE, 0.0), Unknowns(make_unknowns(["K_F", "K_I", "K_II"])))
-    (component,) = found.estimated_noise.values()
-    for shift in jackknife_runs(found, K_II):
+    fit_result = fitted(2, Noise(ESTIMATE, 0.0), Unknowns(make_unknowns(["K_F", "K_I", "K_II"])))
+    (component,) = fit_result.estimated_noise.values()
+    for shift in jackknife_runs(fit_result, K_II):
         # White noise alone: rows less unknowns, as of every estimate.
         assert shift.dof == pytest.approx(component.degrees_of_freedom, rel=1e-3)
 
 
 def test_undetected_noise_is_in_variance():
-    found = fitted(3, Noise(ESTIMATE, ESTIMATE))
-    (component,) = found.estimated_noise.values()
+    fit_result = fitted(3, Noise(ESTIMATE, ESTIMATE))
+    (component,) = fit_result.estimated_noise.values()
     assert component.undetected_walk is not None
-    known = replace(found, estimated_noise={"Qx": replace(component, undetected_walk=None)})
-    for wide, narrow in zip(jackknife_runs(found, K_II), jackknife_runs(known, K_II), strict=True):
+    known = replace(fit_result, estimated_noise={"Qx": replace(component, undetected_walk=None)})
+    for wide, narrow in zip(
+        jackknife_runs(fit_result, K_II), jackknife_runs(known, K_II), strict=True
+    ):
         assert abs(wide.z) < abs(narrow.z)
         assert wide.dof < narrow.dof

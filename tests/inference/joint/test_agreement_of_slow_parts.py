@@ -20,11 +20,11 @@ NOISE = Noise(0.01, 3e-4)
 
 def fitted(noise, bend=0.0):
     rng = np.random.default_rng(5)
-    series = [add_noise(one, noise, rng) for one in simulate_three_rates(TRUTH)]
+    series = [add_noise(record, noise, rng) for record in simulate_three_rates(TRUTH)]
     phase = np.pi * series[2].time / series[2].time[-1]
     series[2] = replace(series[2], error=series[2].error + bend * np.sin(phase))
-    found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, rejects_outliers=False)
-    return found.estimated_noise["Qx"], estimate_considered(found.fit)
+    estimation = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, ESTIMATE)}, rejects_outliers=False)
+    return estimation.estimated_noise["Qx"], estimate_considered(estimation.fit)
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +40,11 @@ def test_ratio_matches_gain_of_cosine_fits(walking):
         whole = augment(walking, free, columns).solution
         gains.append(walking.solution.chi2 - whole.chi2)
         counts.append(len(columns))
-    found = compare_slow_residuals(walking, "Qx")
-    assert [part.run for part in found] == [part.run for part in walking.design_blocks]
-    for k, part in enumerate(found):
-        rest, others = sum(gains) - gains[k], sum(counts) - counts[k]
-        ratio = gains[k] / counts[k] / (rest / others)
+    comparison = compare_slow_residuals(walking, "Qx")
+    assert [part.run for part in comparison] == [part.run for part in walking.design_blocks]
+    for k, part in enumerate(comparison):
+        new_gains, others = sum(gains) - gains[k], sum(counts) - counts[k]
+        ratio = gains[k] / counts[k] / (new_gains / others)
         assert part.ratio == pytest.approx(ratio, rel=1e-3)
         assert part.p == pytest.approx(fisher.sf(ratio, counts[k], others), rel=1e-2)
 
@@ -56,8 +56,8 @@ def test_common_random_walk_is_consistent(walking):
 def test_bend_of_single_run_is_inconsistent():
     components, fit = fitted(Noise(0.01), bend=1.0)
     assert "random_walk" in components.estimated
-    found = compare_slow_residuals(fit, "Qx")
-    worst = min(found, key=lambda part: part.p)
+    comparison = compare_slow_residuals(fit, "Qx")
+    worst = min(comparison, key=lambda part: part.p)
     assert worst.run == fit.design_blocks[2].run
     assert worst.p < 1e-6
     assert worst.ratio > 5.0

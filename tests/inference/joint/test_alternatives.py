@@ -44,7 +44,7 @@ def fitted(series, model=MODEL, white=WHITE):
 @pytest.fixture(scope="module")
 def series():
     rng = np.random.default_rng(7)
-    return [add_noise(one, Noise(WHITE), rng) for one in simulate_three_rates(TRUTH)]
+    return [add_noise(record, Noise(WHITE), rng) for record in simulate_three_rates(TRUTH)]
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,9 @@ SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
 def series():
     rng = np.random.default_rng(1)
     clean = [
-        one for name in ("Qx", "Qy") for one in simulate_three_rates(TRUTH, accelerometer=name)
+        record
+        for name in ("Qx", "Qy")
+        for record in simulate_three_rates(TRUTH, accelerometer=name)
     ]
     return [add_noise(one, NOISES[one.accelerometer], rng) for one in clean]
 
@@ -155,8 +157,8 @@ def test_sensitivities_match_differences_of_estimates(series, fit, model):
     plain = model.without_inputs()
 
     def estimate(changed, chosen=series):
-        found = solve_joint(build_design_blocks(chosen, changed, SCALES), changed, NOISES)
-        return found.solution.estimate[index]
+        fit = solve_joint(build_design_blocks(chosen, changed, SCALES), changed, NOISES)
+        return fit.solution.estimate[index]
 
     base = estimate(plain)
     compared = set()
@@ -180,10 +182,10 @@ def test_sensitivities_match_differences_of_estimates(series, fit, model):
         else:
             step = line.u
             moved = []
-            for one in series:
-                motion = INPUT_PERTURBATIONS[line.source](one.trajectory, step)
-                error = one.error + one.reference() - one.reference(motion)
-                moved.append(replace(one, trajectory=motion, error=error))
+            for record in series:
+                motion = INPUT_PERTURBATIONS[line.source](record.trajectory, step)
+                error = record.error + record.reference() - record.reference(motion)
+                moved.append(replace(record, trajectory=motion, error=error))
             changed = estimate(plain, moved)
         compared.add("input" if line.source in SIZES else line.kind)
         derivative = (changed - base) / step
@@ -194,18 +196,20 @@ def test_sensitivities_match_differences_of_estimates(series, fit, model):
 
 def test_record_in_g_depends_on_assumed_gravity():
     """The assumed gravity converts a record from g to m/s^2."""
-    one = [
+    changed_series = [
         replace(simulate_series(f"run{i}", r, TRUTH, observable="specific_force"), in_g=True)
         for i, r in enumerate(RATES)
     ]
     model = Unknowns(make_unknowns(TRUTH), make_considered_inputs({"site.gravity": 1e-4}))
     plain = model.without_inputs()
     noise = {"Qx": Noise(1e-3)}
-    first = solve_joint(build_design_blocks(one, plain, SCALES), plain, noise).solution
-    fit = solve_joint(build_design_blocks(one, model, SCALES, first.estimate), model, noise)
+    first = solve_joint(build_design_blocks(changed_series, plain, SCALES), plain, noise).solution
+    fit = solve_joint(
+        build_design_blocks(changed_series, model, SCALES, first.estimate), model, noise
+    )
     step = 1e-3
     moved = []
-    for s in one:
+    for s in changed_series:
         motion = INPUT_PERTURBATIONS["site.gravity"](s.trajectory, step)
         output = (s.error + s.reference()) * (SITE.gravity + step) / SITE.gravity
         moved.append(replace(s, trajectory=motion, error=output - s.reference(motion)))
@@ -220,8 +224,8 @@ def test_record_in_g_depends_on_assumed_gravity():
 
 def test_exactly_known_unknown_has_no_budget():
     model = Unknowns(make_unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
-    found = solve_joint(
+    fit = solve_joint(
         build_design_blocks(simulate_three_rates(TRUTH), model, SCALES), model, {"Qx": Noise(0.01)}
     )
-    assert budget(found, 0) == []
-    assert sum(line.share for line in budget(found, 2)) == pytest.approx(1.0, abs=1e-9)
+    assert budget(fit, 0) == []
+    assert sum(line.share for line in budget(fit, 2)) == pytest.approx(1.0, abs=1e-9)

@@ -62,15 +62,15 @@ HELD_BETTER = [{"K_PP": 1e-7}, {"K_PP": 3e-6, "K_OO": 3e-8}]
     [*(((), known) for known in BETTER), *((("K_PP",), known) for known in BETTER + HELD_BETTER)],
 )
 def test_update_matches_fit_with_other_prior(known, held):
-    found = make_what_if(make_fit(PRIORS, held))
+    what_if = make_what_if(make_fit(PRIORS, held))
     again = make_fit(PRIORS | known, held)
     for place, name in enumerate(("K_F", "K_II")):
         shares = {line.source: line.contribution**2 for line in budget(again, place, "Qx")}
-        parts = found.parts(name, known)
-        for source in found.known:
+        parts = what_if.parts(name, known)
+        for source in what_if.known:
             assert parts[source] == pytest.approx(shares.get(source, 0.0), rel=1e-6, abs=1e-24)
-        assert found.u(name, known) == pytest.approx(float(again.solution.u[place]), rel=1e-9)
-    assert found.u("K_II", {}) == pytest.approx(
+        assert what_if.u(name, known) == pytest.approx(float(again.solution.u[place]), rel=1e-9)
+    assert what_if.u("K_II", {}) == pytest.approx(
         float(make_fit(PRIORS, held).solution.u[1]), rel=1e-9
     )
 
@@ -78,10 +78,10 @@ def test_update_matches_fit_with_other_prior(known, held):
 def test_scaling_budget_lines_is_inaccurate():
     """A better prior of a partly determined term has less effect: 8 % of u here."""
     fit = make_fit(PRIORS)
-    found, u = make_what_if(fit), float(fit.solution.u[1])
+    what_if, u = make_what_if(fit), float(fit.solution.u[1])
     (line,) = (line for line in budget(fit, 1, "Qx") if line.source == "K_OO")
     naive = math.sqrt(u**2 - line.contribution**2 * (1.0 - 0.3**2))
-    assert naive > 1.05 * found.u("K_II", {"K_OO": 0.3 * PRIORS["K_OO"]})
+    assert naive > 1.05 * what_if.u("K_II", {"K_OO": 0.3 * PRIORS["K_OO"]})
 
 
 def test_undetected_noise_follows_update():
@@ -97,12 +97,12 @@ def test_undetected_noise_follows_update():
 
 
 def test_term_without_prior_cannot_be_changed():
-    found = make_what_if(make_fit(PRIORS))
-    assert set(found.known) <= {"K_OO", "K_PP", "K_4"}
+    what_if = make_what_if(make_fit(PRIORS))
+    assert set(what_if.known) <= {"K_OO", "K_PP", "K_4"}
     with pytest.raises(ValueError, match="K_F"):
-        found.u("K_II", {"K_F": 1e-6})
+        what_if.u("K_II", {"K_F": 1e-6})
     with pytest.raises(ValueError, match="greater than zero"):
-        found.u("K_II", {"K_OO": 0.0})
+        what_if.u("K_II", {"K_OO": 0.0})
 
 
 def test_fit_without_relevant_prior_has_no_what_if():

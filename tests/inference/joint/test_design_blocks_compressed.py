@@ -49,8 +49,8 @@ def complete_model(*names):
         )
         for symbol, row in INPUTS.items()
     ]
-    asked = [unknown for name in names for unknown in make_unknowns(TRUTH, owner=name)]
-    return Unknowns((*asked, *own, *shared, *inputs))
+    unknowns = [unknown for name in names for unknown in make_unknowns(TRUTH, owner=name)]
+    return Unknowns((*unknowns, *own, *shared, *inputs))
 
 
 def make_problem(names, noise, considered=()):
@@ -58,9 +58,9 @@ def make_problem(names, noise, considered=()):
     rng = np.random.default_rng(3)
     model = replace(complete_model(*names), considered=considered)
     series = [
-        add_noise(one, noise, rng)
+        add_noise(record, noise, rng)
         for name in names
-        for one in simulate_three_rates(TRUTH, accelerometer=name)
+        for record in simulate_three_rates(TRUTH, accelerometer=name)
     ]
     return build_design_blocks(series, model, SCALES), model
 
@@ -69,14 +69,14 @@ def assert_matches_full_fit(prepared, model, few, condensed, noise):
     """Assert that the parameters of interest are equal in both fits; return u."""
     noises = {part.accelerometer: noise for part in prepared}
     whole = solve_joint(prepared, model, noises).solution
-    found = solve_joint(few, condensed, noises).solution
+    solution = solve_joint(few, condensed, noises).solution
     p = len(model.of_interest)
     assert condensed.of_interest == model.of_interest
     u = whole.u[:p]
-    np.testing.assert_allclose(found.estimate[:p] / u, whole.estimate[:p] / u, atol=1e-3)
+    np.testing.assert_allclose(solution.estimate[:p] / u, whole.estimate[:p] / u, atol=1e-3)
     for name in ("covariance", "covariance_considered"):
-        one, other = (getattr(s, name)[:p, :p] / np.outer(u, u) for s in (found, whole))
-        np.testing.assert_allclose(one, other, atol=1e-3)
+        first, second = (getattr(s, name)[:p, :p] / np.outer(u, u) for s in (solution, whole))
+        np.testing.assert_allclose(first, second, atol=1e-3)
     return u
 
 
@@ -108,7 +108,9 @@ def test_two_accelerometers_share_compressed_columns():
     few, condensed = compress_nuisance(prepared, model, dict.fromkeys(SCALES, noise.white))
     assert_matches_full_fit(prepared, model, few, condensed, noise)
     assert len(condensed.unknowns) < len(model.unknowns) / 2
-    common = {place for place, one in enumerate(condensed.unknowns) if not one.is_of_interest}
+    common = {
+        place for place, unknown in enumerate(condensed.unknowns) if not unknown.is_of_interest
+    }
     shown = [common.intersection(part.unknowns) for part in few]
     assert all(one == common for one in shown)
 
@@ -147,7 +149,9 @@ def test_rows_of_compressed_columns_may_be_omitted():
 def test_noise_free_records_are_not_compressed(level):
     """Without noise, no direction is negligible."""
     model = complete_model("Qx")
-    silent = [replace(one, error=np.zeros(one.time.size)) for one in simulate_three_rates(TRUTH)]
+    silent = [
+        replace(record, error=np.zeros(record.time.size)) for record in simulate_three_rates(TRUTH)
+    ]
     prepared = build_design_blocks(silent, model, SCALES)
     few, condensed = compress_nuisance(prepared, model, {"Qx": level})
     assert condensed is model

@@ -45,13 +45,13 @@ TILTED = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, -0.8, 0.6]])
 def fit_encoder_angle(series, encoder_noise, rng):
     """Return the series relative to the spindle that is fitted to a noisy angle."""
     found = []
-    for one in series:
-        angle = one.trajectory.spindle.angle(one.time)
-        angle = angle + encoder_noise * rng.standard_normal(one.time.size)
-        fit = fit_spindle(one.time, angle, one.trajectory.spindle.rate * (1 + 1e-6))
-        motion = replace(one.trajectory, spindle=fit.spindle)
-        error = one.error + one.reference() - one.reference(motion)
-        found.append(replace(one, trajectory=motion, error=error, angle_error=fit.error))
+    for record in series:
+        angle = record.trajectory.spindle.angle(record.time)
+        angle = angle + encoder_noise * rng.standard_normal(record.time.size)
+        fit = fit_spindle(record.time, angle, record.trajectory.spindle.rate * (1 + 1e-6))
+        motion = replace(record.trajectory, spindle=fit.spindle)
+        error = record.error + record.reference() - record.reference(motion)
+        found.append(replace(record, trajectory=motion, error=error, angle_error=fit.error))
     return found
 
 
@@ -78,25 +78,27 @@ def make_rippled_series(observable, size, rng, **more):
 def test_columns_match_simulation(observable, attitude):
     """Compare the chain rule with full simulations of ripple, start angle and drift."""
     spindle = Spindle(RATES[1], 1e-5, start_angle=0.4)
-    one = simulate_series("run", RATES[1], LARGE, observable=observable, spindle=spindle)
+    series = simulate_series("run", RATES[1], LARGE, observable=observable, spindle=spindle)
     rng = np.random.default_rng(1)
     fit = fit_spindle(
-        one.time, spindle.angle(one.time) + 1e-6 * rng.standard_normal(one.time.size), RATES[1]
+        series.time,
+        spindle.angle(series.time) + 1e-6 * rng.standard_normal(series.time.size),
+        RATES[1],
     )
     # The root as a diagonal: each term is one parameter then.
     u = np.sqrt(np.sum(fit.error.root**2, axis=1))
     error = replace(fit.error, rate=RATES[1], root=np.diag(u), deviation=0 * u)
-    one = replace(one, attitude=attitude, angle_error=error)
+    series = replace(series, attitude=attitude, angle_error=error)
     symbols = ["encoder.angle"] + [
         f"encoder.ripple{n}.{q}" for n in (1, 2, 3, 4) for q in ("cos", "sin")
     ]
     known = {s: value - (s == "K_I") for s, value in LARGE.items() if s != "K_F"}
-    columns = encoder.columns(one, symbols, known)
+    columns = encoder.columns(series, symbols, known)
 
     def recorded(turned):
-        motion = replace(one.trajectory, spindle=turned)
+        motion = replace(series.trajectory, spindle=turned)
         return simulation.simulate_record(
-            motion, QX, LARGE, {}, one.time, observable, attitude=attitude
+            motion, QX, LARGE, {}, series.time, observable, attitude=attitude
         )
 
     def turned(symbol, step):
@@ -108,18 +110,18 @@ def test_columns_match_simulation(observable, attitude):
         start = spindle.start_angle + (step / (n * RATES[1]) if cos else 0.0)
         return replace(spindle, ripples=(more,), start_angle=start)
 
-    own = np.vander(one.time, one.order, increasing=True)
+    own = np.vander(series.time, series.order, increasing=True)
     for symbol, column in zip(symbols, columns.T, strict=True):
         step = 1e-4
         change = (recorded(turned(symbol, step)) - recorded(turned(symbol, -step))) / (2 * step)
         expected = change * u[0 if symbol == "encoder.angle" else 3 + symbols.index(symbol) - 1]
         apart = column - expected
-        if one.order:
+        if series.order:
             apart = apart - own @ np.linalg.lstsq(own, apart, rcond=None)[0]
         # Differences err by the step squared; integrated Coriolis forces of K_I - 1 are left out.
         assert np.abs(apart).max() < 2e-5 * np.abs(expected).max() + 1e-12, symbol
     # Without the coefficients' part the comparison would fail.
-    plain = encoder.columns(one, symbols, {})
+    plain = encoder.columns(series, symbols, {})
     assert np.abs(plain - columns).max() > 1e-3 * np.abs(columns).max()
 
 
@@ -237,15 +239,17 @@ def test_u_covers_hidden_ripple(observable, encoder_noise, request_):
     inside, distance, blind = np.zeros(TRUE.size), np.zeros(TRUE.size), np.zeros(TRUE.size)
     for _ in range(trials):
         size = simulate_hidden_ripple(encoder_noise, 385)
-        true = [add_noise(one, noise, rng) for one in make_rippled_series(observable, size, rng)]
+        true = [
+            add_noise(record, noise, rng) for record in make_rippled_series(observable, size, rng)
+        ]
         series = fit_encoder_angle(true, encoder_noise, rng)
-        found = estimate(series, MODEL, {"Qx": request_}, rejects_outliers=False)
+        estimation = estimate(series, MODEL, {"Qx": request_}, rejects_outliers=False)
         p = TRUE.size
-        z = (found.fit.solution.estimate[:p] - TRUE) / found.fit.solution.u[:p]
-        inside += np.abs(z) < stdtrit(np.minimum(found.dof[:p], 1e6), 0.975)
+        z = (estimation.fit.solution.estimate[:p] - TRUE) / estimation.fit.solution.u[:p]
+        inside += np.abs(z) < stdtrit(np.minimum(estimation.dof[:p], 1e6), 0.975)
         distance += z**2
         if compared:
-            ignorant = [replace(one, angle_error=None) for one in series]
+            ignorant = [replace(record, angle_error=None) for record in series]
             without = estimate(
                 ignorant, MODEL, {"Qx": Noise(noise.white, 0.0)}, rejects_outliers=False
             )
@@ -263,24 +267,24 @@ def test_hidden_ripple_does_not_increase_noise():
     rng = np.random.default_rng(6)
     true = make_rippled_series("specific_force", simulate_hidden_ripple(1e-5, 385), rng)
     series = fit_encoder_angle([add_noise(one, Noise(1e-4), rng) for one in true], 1e-5, rng)
-    found = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, rejects_outliers=False)
-    rows = sum(one.time.size for one in series)
-    assert found.fit.noise["Qx"].white == pytest.approx(1e-4, rel=4 / math.sqrt(2 * rows))
+    estimation = estimate(series, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, rejects_outliers=False)
+    rows = sum(record.time.size for record in series)
+    assert estimation.fit.noise["Qx"].white == pytest.approx(1e-4, rel=4 / math.sqrt(2 * rows))
 
 
 def test_budget_has_lines_of_rotation():
     rng = np.random.default_rng(7)
     series = fit_encoder_angle(make_rippled_series("specific_force", 0.0, rng), 1e-5, rng)
-    series = [add_noise(one, Noise(1e-4), rng) for one in series]
-    found = estimate(series, MODEL, {"Qx": Noise(1e-4, 0.0)}, rejects_outliers=False)
-    for index, u in enumerate(found.fit.solution.u[:4]):
-        lines = budget(found.fit, index)
+    series = [add_noise(record, Noise(1e-4), rng) for record in series]
+    estimation = estimate(series, MODEL, {"Qx": Noise(1e-4, 0.0)}, rejects_outliers=False)
+    for index, u in enumerate(estimation.fit.solution.u[:4]):
+        lines = budget(estimation.fit, index)
         assert math.fsum(x.contribution**2 for x in lines) == pytest.approx(u**2, rel=1e-10)
         for line in lines:
             if line.source.startswith("run"):
                 product = abs(line.sensitivity) * line.u
                 assert line.contribution == pytest.approx(product, rel=1e-12)
-    lines = {line.source: line for line in budget(found.fit, 2)}
+    lines = {line.source: line for line in budget(estimation.fit, 2)}
     # The fastest run decides K_II, and its ripple of twice the angle stands where K_II does.
     ripples = lines["run3.ripple1"], lines["run3.ripple3"]
     assert all(line.kind == NOISE for line in ripples)
@@ -297,7 +301,8 @@ def test_u_increases_with_encoder_noise():
     """A perfect encoder changes nothing; a very noisy encoder leaves the output alone."""
     rng = np.random.default_rng(8)
     true = [
-        add_noise(one, Noise(1e-4), rng) for one in make_rippled_series("specific_force", 0.0, rng)
+        add_noise(record, Noise(1e-4), rng)
+        for record in make_rippled_series("specific_force", 0.0, rng)
     ]
     request = {"Qx": Noise(1e-4, 0.0)}
     exact = estimate(true, MODEL, request, rejects_outliers=False).fit.solution
@@ -309,5 +314,5 @@ def test_u_increases_with_encoder_noise():
     assert u == sorted(u)
     assert u[3] < 3 * exact.u[2]
     series = fit_encoder_angle(true, 1e-9, np.random.default_rng(9))
-    found = estimate(series, MODEL, request, rejects_outliers=False).fit.solution
-    np.testing.assert_allclose(found.estimate[:4], exact.estimate, atol=0.05 * exact.u.max())
+    solution = estimate(series, MODEL, request, rejects_outliers=False).fit.solution
+    np.testing.assert_allclose(solution.estimate[:4], exact.estimate, atol=0.05 * exact.u.max())

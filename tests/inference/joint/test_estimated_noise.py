@@ -29,9 +29,10 @@ def make_series(observable, **size):
     series = simulate_three_rates(COEFFICIENTS, observable=observable, **size)
     return [
         replace(
-            one, trajectory=replace(one.trajectory, conditions=RunConditions(start=300.0 * place))
+            record,
+            trajectory=replace(record.trajectory, conditions=RunConditions(start=300.0 * place)),
         )
-        for place, one in enumerate(series)
+        for place, record in enumerate(series)
     ]
 
 
@@ -80,9 +81,9 @@ def test_estimated_wander_has_coverage():
     request = {"Qx": Noise(ESTIMATE, 0.0, 0.0, ESTIMATE, 0.0)}
     held = np.zeros(4)
     for _ in range(10):
-        drawn = [add_wander(one, noise, rng) for one in series]
-        found = estimate(drawn, MODEL, request, rejects_outliers=False)
-        solution, dof = found.fit.solution, np.minimum(found.dof, 1e6)
+        drawn = [add_wander(record, noise, rng) for record in series]
+        estimation = estimate(drawn, MODEL, request, rejects_outliers=False)
+        solution, dof = estimation.fit.solution, np.minimum(estimation.dof, 1e6)
         held += np.abs(solution.estimate - TRUTH) < student.ppf(0.975, dof) * solution.u
     assert held[0] >= 7
     assert held[2] >= 7

@@ -142,15 +142,15 @@ def test_u_but_not_noise_part_covers_considered_term(paper_series, noise):
         drawn = [
             # The series' own considered columns: K_OO, then its run's tilt.
             replace(
-                one,
+                record,
                 series=replace(
-                    one.series,
-                    error=one.series.error
-                    + one.fixed @ [rng_k_oo, 0.5 * ARCSEC * rng.standard_normal()],
+                    record.series,
+                    error=record.series.error
+                    + record.fixed @ [rng_k_oo, 0.5 * ARCSEC * rng.standard_normal()],
                 ),
             )
             for rng_k_oo in (1e-6 + 2e-6 * rng.standard_normal(),)
-            for one in drawn
+            for record in drawn
         ]
         solution = solve_joint(drawn, considering, {"Qx": noise}).solution
         error = solution.estimate[2] - TRUTH["K_II"]
@@ -315,10 +315,10 @@ def test_three_attitudes_separate_squares():
         assert tipped.estimate[index] == pytest.approx(value, abs=0.1 * tipped.u[index])
 
     nominal = [u.nominal for u in model.unknowns]
-    said = assess(level, names, nominal=nominal)
-    assert not said.determined["Qx.K_II"]
-    assert not said.determined["Qx.K_OO"]
-    sums = [item for item in said.confounded if {"Qx.K_II", "Qx.K_OO"} <= set(item.terms)]
+    assessment = assess(level, names, nominal=nominal)
+    assert not assessment.determined["Qx.K_II"]
+    assert not assessment.determined["Qx.K_OO"]
+    sums = [item for item in assessment.confounded if {"Qx.K_II", "Qx.K_OO"} <= set(item.terms)]
     assert len(sums) == 1
     assert sums[0].determined == "Qx.K_II + Qx.K_OO"
     assert sums[0].value == pytest.approx(SQUARES["K_II"] + SQUARES["K_OO"], abs=2 * sums[0].u)
@@ -370,14 +370,14 @@ def test_only_difference_of_k_i_and_k_ip_is_determined(name):
     solution = solve_joint(
         build_design_blocks(series, model, {name: 1.0}), model, {name: WHITE}
     ).solution
-    said = assess(
+    assessment = assess(
         solution,
         [u.symbol for u in model.unknowns],
         nominal=[u.nominal for u in model.unknowns],
     )
-    assert not said.determined["K_IP"]
-    assert said.determined["K_II"]
-    pair = next(item for item in said.confounded if set(item.terms) == {"K_I", "K_IP"})
+    assert not assessment.determined["K_IP"]
+    assert assessment.determined["K_II"]
+    pair = next(item for item in assessment.confounded if set(item.terms) == {"K_I", "K_IP"})
     assert pair.determined == "K_I - K_IP"
     assert abs(pair.correlation) > 0.97
     assert pair.value == pytest.approx(truth["K_I"] - truth["K_IP"], abs=3 * pair.u)
@@ -393,16 +393,16 @@ def test_bias_and_collinear_terms_have_single_combination():
         build_design_blocks(simulate_three_rates(truth), model, SCALES), model, {"Qx": WHITE}
     ).solution
     names = [u.symbol for u in model.unknowns]
-    said = assess(solution, names, nominal=[u.nominal for u in model.unknowns])
+    assessment = assess(solution, names, nominal=[u.nominal for u in model.unknowns])
     alike = {"K_F", "K_PP", "delta_O", "platform.tilt.north"}
-    assert not any(said.determined[name] for name in alike - {"K_F"})
-    item = next(item for item in said.confounded if set(item.terms) == alike)
+    assert not any(assessment.determined[name] for name in alike - {"K_F"})
+    item = next(item for item in assessment.confounded if set(item.terms) == alike)
     # a_P = -1 in the level attitude, so that delta_O a_P is a bias of the other sign; a tilt is
     # seen through the scale factor.
     assert item.determined == "K_F + K_PP - delta_O - 1.00197 platform.tilt.north"
     assert item.value == pytest.approx(5e-3 + 3e-6, abs=3 * item.u)
     assert item.u < 1e-6
-    assert said.determined["K_II"]
+    assert assessment.determined["K_II"]
 
 
 # Checks of an answer ------------------------------------------------------------------------------
@@ -425,7 +425,9 @@ def test_omitted_run_matches_fit_without_records(paper_series):
 def test_changed_noise_matches_fit_with_that_noise():
     model = Unknowns(tuple(u for name in SCALES for u in make_unknowns(("K_F", "K_I"), owner=name)))
     truth = {s: TRUTH[s] for s in ("K_F", "K_I")}
-    series = [one for name in SCALES for one in simulate_three_rates(truth, accelerometer=name)]
+    series = [
+        record for name in SCALES for record in simulate_three_rates(truth, accelerometer=name)
+    ]
     prepared = build_design_blocks(series, model, SCALES)
     fit = solve_joint(prepared, model, {"Qx": WHITE, "Qy": MIXED})
     changed = fit.with_noise({"Qy": WHITE})
@@ -442,7 +444,8 @@ def test_changed_white_noise_matches_fit_with_that_noise(level):
     )
     # Of time stamps' noise the runs have differently much.
     series = [
-        one.with_timestamp_noise(1e-3 * i) for i, one in enumerate(simulate_three_rates(TRUTH))
+        record.with_timestamp_noise(1e-3 * i)
+        for i, record in enumerate(simulate_three_rates(TRUTH))
     ]
     prepared = redraw_noise(
         build_design_blocks(series, model, SCALES), WHITE, np.random.default_rng(8)
@@ -451,8 +454,8 @@ def test_changed_white_noise_matches_fit_with_that_noise(level):
     direct = solve_joint(prepared, model, {"Qx": level})
     np.testing.assert_allclose(changed.solution.covariance, direct.solution.covariance, rtol=1e-10)
     np.testing.assert_allclose(changed.solution.estimate, direct.solution.estimate, rtol=1e-10)
-    for one, other in zip(changed.blocks, direct.blocks, strict=True):
-        assert one.rss == pytest.approx(other.rss, rel=1e-9, abs=0)
+    for first, second in zip(changed.blocks, direct.blocks, strict=True):
+        assert first.rss == pytest.approx(second.rss, rel=1e-9, abs=0)
     assert changed.noise == direct.noise
 
 
@@ -481,8 +484,8 @@ def test_residuals_are_noise_minus_projection_on_design(paper_series):
 
 def test_block_means_preserve_information_on_k_ii():
     dense = [
-        one.drop_rows(one.time == one.time[-1])
-        for one in simulate_three_rates(TRUTH, per_revolution=320, revolutions=6)
+        record.drop_rows(record.time == record.time[-1])
+        for record in simulate_three_rates(TRUTH, per_revolution=320, revolutions=6)
     ]
     size = 5  # 64 blocks a revolution
     blocks = []
@@ -537,13 +540,13 @@ def test_updated_design_blocks_match_new_ones():
     known = dict(zip(before.unknowns, fit.solution.estimate.tolist(), strict=True))
     again = update_design_blocks(fit.design_blocks, before, after, other, known)
     anew = build_design_blocks(series, after, other, fit.solution.estimate)
-    for one, two in zip(again, anew, strict=True):
-        assert (one.scale_factor, one.unknowns, one.considered) == (
-            two.scale_factor,
-            two.unknowns,
-            two.considered,
+    for first, second in zip(again, anew, strict=True):
+        assert (first.scale_factor, first.unknowns, first.considered) == (
+            second.scale_factor,
+            second.unknowns,
+            second.considered,
         )
-        for got, expected in ((one.design, two.design), (one.fixed, two.fixed)):
+        for got, expected in ((first.design, second.design), (first.fixed, second.fixed)):
             error = np.abs(got - expected).max(axis=0)
             assert (error < 1e-12 * np.abs(expected).max(axis=0)).all()
 
@@ -569,19 +572,19 @@ def test_input_sensitivity_matches_difference_of_estimates():
     def assumed(name, size):
         """The estimate from the same output when another value of the input is taken."""
         moved = []
-        for one in series:
+        for record in series:
             if name == TIMING:
                 # Angles taken later were reached later: the spindle was behind by that time.
                 behind = replace(
-                    one.trajectory.spindle,
-                    start_angle=float(one.trajectory.spindle.angle(np.array([-size]))[0]),
-                    rate=float(one.trajectory.spindle.angular_rate(np.array([-size]))[0]),
+                    record.trajectory.spindle,
+                    start_angle=float(record.trajectory.spindle.angle(np.array([-size]))[0]),
+                    rate=float(record.trajectory.spindle.angular_rate(np.array([-size]))[0]),
                 )
-                motion = replace(one.trajectory, spindle=behind)
+                motion = replace(record.trajectory, spindle=behind)
             else:
-                motion = INPUT_PERTURBATIONS[name](one.trajectory, size)
-            error = one.error + one.reference() - one.reference(motion)
-            moved.append(replace(one, trajectory=motion, error=error))
+                motion = INPUT_PERTURBATIONS[name](record.trajectory, size)
+            error = record.error + record.reference() - record.reference(motion)
+            moved.append(replace(record, trajectory=motion, error=error))
         prepared = build_design_blocks(moved, plain, SCALES)
         return solve_joint(prepared, plain, noise).solution.estimate
 
@@ -610,24 +613,24 @@ def test_input_with_prior_matches_dense_least_squares(noise):
 
         def output(of_run=(f"run{i}", rate), nominal=nominal, **changed):
             """What is recorded in another world, less what this one would show."""
-            one = simulate_series(*of_run, TRUTH, **changed)
-            return one.error + one.reference() - nominal.reference()
+            series = simulate_series(*of_run, TRUTH, **changed)
+            return series.error + series.reference() - nominal.reference()
 
-        one = add_noise(replace(nominal, error=output(radius=true_radius)), noise, rng)
+        new_noise = add_noise(replace(nominal, error=output(radius=true_radius)), noise, rng)
         columns = [
-            *one.columns(list(TRUTH), 1.0).T,
+            *new_noise.columns(list(TRUTH), 1.0).T,
             (output(site=replace(SITE, gravity=SITE.gravity + 1e-3)) - nominal.error) / 1e-3,
             (output(radius=radius + 1e-3) - output(radius=radius - 1e-3)) / 2e-3,
         ]
-        t = one.time
+        t = new_noise.time
         early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
         walk = noise.random_walk**2 * early**2 * (3 * late - early) / 6
         root = np.linalg.cholesky(noise.white**2 * np.eye(t.size) + walk)
         start = np.zeros((t.size, 2 * len(RATES)))
         start[:, 2 * i : 2 * i + 2] = np.column_stack([np.ones(t.size), t])
         rows.append(np.linalg.solve(root, np.column_stack([*columns, start])))
-        values.append(np.linalg.solve(root, one.error))
-        series.append(one)
+        values.append(np.linalg.solve(root, new_noise.error))
+        series.append(new_noise)
     known = [*(PRIORS.get(s, NO_PRIOR) for s in TRUTH), *((0.0, size) for size in sizes.values())]
     for place, (value, size) in enumerate(known):
         if math.isfinite(size):
@@ -665,8 +668,8 @@ def test_gravity_derivative_of_record_in_g_has_no_noise():
     model = Unknowns(make_unknowns(truth), make_considered_inputs({"site.gravity": 1e-5}))
     true = np.array(list(truth.values()))
     clean = [
-        replace(one, in_g=True)
-        for one in simulate_three_rates(truth, observable="specific_force", per_revolution=16)
+        replace(record, in_g=True)
+        for record in simulate_three_rates(truth, observable="specific_force", per_revolution=16)
     ]
     rng = np.random.default_rng(31)
     noisy = [

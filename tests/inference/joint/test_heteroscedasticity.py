@@ -28,15 +28,15 @@ def noise_free_series():
 
 
 def by_run(noise_free_series, rng):
-    return [add_noise(one, Noise(SIZES[one.run]), rng) for one in noise_free_series]
+    return [add_noise(record, Noise(SIZES[record.run]), rng) for record in noise_free_series]
 
 
 def by_slope(noise_free_series, rng):
     """Add white noise and time-stamp jitter, which is proportional to the slope."""
     drawn = []
-    for one in noise_free_series:
-        late = TIMING * rng.standard_normal(one.time.size)
-        moved = replace(one, error=one.error + sum(one.slopes()) * late)
+    for record in noise_free_series:
+        late = TIMING * rng.standard_normal(record.time.size)
+        moved = replace(record, error=record.error + sum(record.slopes()) * late)
         drawn.append(add_noise(moved, Noise(3e-4), rng))
     return drawn
 
@@ -45,21 +45,24 @@ def test_runs_are_weighted_by_separate_noise(noise_free_series):
     """u is that of the true weights, and 95 % intervals hold."""
     rng = np.random.default_rng(1)
     prepared = build_design_blocks(noise_free_series, MODEL, {"Qx": TRUTH["K_I"]})
-    told = [
+    changed_ones = [
         replace(one, series=replace(one.series, variance_ratio=(SIZES[one.run] / 0.01) ** 2))
         for one in prepared
     ]
-    bound = solve_joint(told, MODEL, {"Qx": Noise(0.01)}).solution.u
+    bound = solve_joint(changed_ones, MODEL, {"Qx": Noise(0.01)}).solution.u
     trials, z, ratios = 30, [], []
     for _ in range(trials):
-        found = estimate(by_run(noise_free_series, rng), MODEL, WANT)
-        z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
-        white = found.fit.noise["Qx"].white
+        estimation = estimate(by_run(noise_free_series, rng), MODEL, WANT)
+        z.append((estimation.fit.solution.estimate - TRUE) / estimation.fit.solution.u)
+        white = estimation.fit.noise["Qx"].white
         ratios.append(
-            [white * math.sqrt(one.series.variance_ratio) for one in found.fit.design_blocks]
+            [
+                white * math.sqrt(design_block.series.variance_ratio)
+                for design_block in estimation.fit.design_blocks
+            ]
         )
         # Each run's own size is known to 1/sqrt(2 x 385/2.31), 5.5 %.
-        np.testing.assert_allclose(found.fit.solution.u, bound, rtol=4 * 0.055)
+        np.testing.assert_allclose(estimation.fit.solution.u, bound, rtol=4 * 0.055)
     squared = np.mean(np.square(z), axis=0)
     assert (np.abs(squared - 1.0) < 4.0 * math.sqrt(2.0 / trials)).all()
     sizes = list(SIZES.values())
@@ -71,11 +74,11 @@ def test_time_jitter_is_estimated_from_slope(noise_free_series):
     trials, z, sizes = 6, [], []
     for _ in range(trials):
         # One row in 400 is taken for an outlier before the weights are known, and 2 % of the size.
-        found = estimate(by_slope(noise_free_series, rng), MODEL, WANT, rejects_outliers=False)
-        assert {one.variance_ratio for one in found.series} == {1.0}
-        (timing,) = {one.timestamp_sd for one in found.series}
+        estimation = estimate(by_slope(noise_free_series, rng), MODEL, WANT, rejects_outliers=False)
+        assert {record.variance_ratio for record in estimation.series} == {1.0}
+        (timing,) = {record.timestamp_sd for record in estimation.series}
         sizes.append(timing / TIMING)
-        z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
+        z.append((estimation.fit.solution.estimate - TRUE) / estimation.fit.solution.u)
     squared = np.mean(np.square(z), axis=0)
     assert (np.abs(squared - 1.0) < 4.0 * math.sqrt(2.0 / trials)).all()
     # 1155 rows tell as much as 500 that are independent, 3.2 %; the white noise takes its share.
@@ -89,21 +92,23 @@ def test_homoscedastic_noise_is_unchanged(observable):
     rng = np.random.default_rng(3)
     noise_free_series = simulate_three_rates(TRUTH, observable=observable)
     for _ in range(10):
-        drawn = [add_noise(one, Noise(0.01), rng) for one in noise_free_series]
+        drawn = [add_noise(record, Noise(0.01), rng) for record in noise_free_series]
         # A bend of one run, a hundred times its noise.
         bent = replace(drawn[2], error=drawn[2].error + np.sin(drawn[2].time / 3.0))
-        found = estimate([*drawn[:2], bent], MODEL, WANT, rejects_outliers=False)
-        assert {(one.variance_ratio, one.timestamp_sd) for one in found.series} == {(1.0, 0.0)}
+        estimation = estimate([*drawn[:2], bent], MODEL, WANT, rejects_outliers=False)
+        assert {(record.variance_ratio, record.timestamp_sd) for record in estimation.series} == {
+            (1.0, 0.0)
+        }
 
 
 def test_spindle_harmonics_are_not_noise():
     """An encoder that errs four times a revolution leaves a fifth harmonic, with the force."""
     rng = np.random.default_rng(5)
     drawn = []
-    for one in simulate_three_rates(TRUTH, observable="specific_force"):
-        wave = 3e-3 * one.trajectory.spindle.rate**2
-        wave = wave * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
-        drawn.append(add_noise(replace(one, error=one.error + wave), Noise(0.01), rng))
+    for record in simulate_three_rates(TRUTH, observable="specific_force"):
+        wave = 3e-3 * record.trajectory.spindle.rate**2
+        wave = wave * np.cos(5.0 * record.trajectory.spindle.angle(record.time))
+        drawn.append(add_noise(replace(record, error=record.error + wave), Noise(0.01), rng))
     stated, asked = {"Qx": Noise(0.01)}, {"Qx": Noise(ESTIMATE)}
     fit = estimate(drawn, MODEL, stated, rejects_outliers=False).fit
     assert noise_by_run(fit, "Qx") == {}
@@ -118,8 +123,8 @@ def test_spindle_harmonics_are_not_noise():
 def test_stated_noise_and_short_records_are_unchanged(noise_free_series):
     rng = np.random.default_rng(4)
     drawn = by_run(noise_free_series, rng)
-    found = estimate(drawn, MODEL, {"Qx": Noise(0.02)})
-    assert {one.variance_ratio for one in found.series} == {1.0}
-    few = [one.drop_rows(np.arange(one.time.size) > 40) for one in drawn]
+    estimation = estimate(drawn, MODEL, {"Qx": Noise(0.02)})
+    assert {record.variance_ratio for record in estimation.series} == {1.0}
+    few = [record.drop_rows(np.arange(record.time.size) > 40) for record in drawn]
     fit = estimate(few, MODEL, WANT, rejects_outliers=False).fit
     assert estimate_heteroscedasticity(fit, few, WANT) == {}

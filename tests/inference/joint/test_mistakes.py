@@ -54,11 +54,11 @@ def test_low_pass_is_found_with_time_constant(observable):
     tau, records = 5e-3, []
     truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
     for k, rate in enumerate(RATES):
-        one = simulate_series(f"run{k}", rate, truth, observable=observable)
-        wave = one.reference()
+        series = simulate_series(f"run{k}", rate, truth, observable=observable)
+        wave = series.reference()
         wave -= wave.mean()
         gain = 1.0 / math.sqrt(1.0 + (rate * tau) ** 2)
-        records.append(replace(one, error=one.error + (gain - 1.0) * wave))
+        records.append(replace(series, error=series.error + (gain - 1.0) * wave))
     fit = estimate_considered(
         estimate(records, MODEL, {"Qx": Noise(1e-4, 0.0)}, rejects_outliers=False).fit
     )

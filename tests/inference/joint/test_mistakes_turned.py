@@ -50,26 +50,26 @@ def test_rotated_fit_matches_fit_of_other_mounting(observable, quarters):
     rng, white = np.random.default_rng(3), 0.01 if observable == "displacement" else 1e-4
     truth = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5, "K_OO": 2e-6, "K_IO": 3e-6}
     series = [
-        add_noise(one, Noise(white), rng)
-        for one in simulate_three_rates(truth, observable=observable)
+        add_noise(record, Noise(white), rng)
+        for record in simulate_three_rates(truth, observable=observable)
     ]
     request = {"Qx": Noise(white, 0.0)}
-    found = rotate_accelerometer(
+    solution = rotate_accelerometer(
         estimate_considered(estimate(series, MODEL, request, rejects_outliers=False).fit),
         "Qx",
         quarters,
     ).solution
     other = Mounting.from_axes("east", POINTS[quarters])
-    stated = [replace(one, mounting=other) for one in series]
+    stated = [replace(record, mounting=other) for record in series]
     wanted = estimate_considered(
         estimate(stated, MODEL, request, rejects_outliers=False).fit
     ).solution
     # The rest of the columns knows of the other terms in second order only.
     np.testing.assert_allclose(
-        found.estimate, wanted.estimate, atol=1e-6 * float(np.max(wanted.u)), rtol=1e-6
+        solution.estimate, wanted.estimate, atol=1e-6 * float(np.max(wanted.u)), rtol=1e-6
     )
-    assert found.chi2 == pytest.approx(wanted.chi2, rel=1e-6)
-    assert math.isfinite(found.chi2)
+    assert solution.chi2 == pytest.approx(wanted.chi2, rel=1e-6)
+    assert math.isfinite(solution.chi2)
 
 
 def test_other_accelerometer_is_unchanged():

@@ -38,11 +38,11 @@ def test_filtered_rows_are_thinned(request_):
     trials, z = 30 if FULL else 10, []
     for _ in range(trials):
         drawn = [add_filtered_noise(one, 0.01, 0.25, rng) for one in clean]
-        found = estimate(drawn, MODEL, {"Qx": request_})
-        apart = {one.thinning * one.spacing for one in found.series}
+        estimation = estimate(drawn, MODEL, {"Qx": request_})
+        apart = {record.thinning * record.spacing for record in estimation.series}
         assert min(apart) == pytest.approx(max(apart), rel=0.3)
         assert min(apart) >= 0.5
-        z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
+        z.append((estimation.fit.solution.estimate - TRUE) / estimation.fit.solution.u)
     squared = np.mean(np.square(z), axis=0)
     # Two memories apart rows still have a correlation of 13 %: up to 30 % of the variance.
     assert (squared < 1.3 + 4.0 * math.sqrt(2.0 / trials)).all()
@@ -63,8 +63,8 @@ def test_unfiltered_rows_are_not_thinned(observable, walk):
             shaken = 0.02 * np.sin(7.3 * drawn[1].time)
             drawn[1] = replace(drawn[1], error=drawn[1].error + shaken)
         want = Noise(ESTIMATE, 0.0 if observable == "specific_force" else ESTIMATE)
-        found = estimate(drawn, MODEL, {"Qx": want})
-        assert {one.thinning for one in found.series} == {1}
+        estimation = estimate(drawn, MODEL, {"Qx": want})
+        assert {record.thinning for record in estimation.series} == {1}
 
 
 def test_spindle_harmonics_are_not_filter_memory():
@@ -74,8 +74,8 @@ def test_spindle_harmonics_are_not_filter_memory():
     for rate, revolutions in ((3.72, 18), (4.77, 31), (5.34, 24), (5.56, 39), (-2.58, 24)):
         rows = round(math.tau / abs(rate) * (50 if rate > 5.5 else 25))
         more = {"revolutions": revolutions, "per_revolution": rows}
-        one = simulate_series(f"{rate}", rate, TRUTH, observable="specific_force", **more)
-        wave = 1e-4 * rate**2 * np.cos(5.0 * one.trajectory.spindle.angle(one.time))
-        drawn.append(add_noise(replace(one, error=one.error + wave), Noise(1e-4), rng))
-    found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE)})
-    assert {one.thinning for one in found.series} == {1}
+        series = simulate_series(f"{rate}", rate, TRUTH, observable="specific_force", **more)
+        wave = 1e-4 * rate**2 * np.cos(5.0 * series.trajectory.spindle.angle(series.time))
+        drawn.append(add_noise(replace(series, error=series.error + wave), Noise(1e-4), rng))
+    estimation = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE)})
+    assert {record.thinning for record in estimation.series} == {1}

@@ -16,9 +16,11 @@ def reject_all_rounds(residuals, weight=None, floor=0.0, time=None):
     """Reject outliers until none remain, as the joint fit does, with a perfect fit."""
     weight = np.ones(residuals.size) if weight is None else weight
     mask = np.zeros(residuals.size, dtype=bool)
-    while (found := outlier_mask(np.where(mask, np.nan, residuals), weight, floor, time)).any():
-        assert not (found & mask).any()
-        mask |= found
+    while (
+        outlier_mask_result := outlier_mask(np.where(mask, np.nan, residuals), weight, floor, time)
+    ).any():
+        assert not (outlier_mask_result & mask).any()
+        mask |= outlier_mask_result
     return mask
 
 
@@ -47,11 +49,11 @@ def test_spikes_are_found_at_any_row(height, share):
     planted = rng.random(n) < share
     planted[[0, n - 1]] = True
     spikes = height * rng.choice([-1.0, 1.0], n)
-    found = reject_all_rounds(sigma * rng.standard_normal(n) + planted * spikes)
+    rejection = reject_all_rounds(sigma * rng.standard_normal(n) + planted * spikes)
     # Five standard deviations is the limit; at seven a fortieth hides behind its own noise.
-    hidden = np.count_nonzero(planted & ~found)
+    hidden = np.count_nonzero(planted & ~rejection)
     assert hidden <= (0.08 * planted.sum() if height < 0.1 else 0)
-    assert np.count_nonzero(found & ~planted) <= 1
+    assert np.count_nonzero(rejection & ~planted) <= 1
 
 
 def test_slow_wander_neither_is_nor_hides_outliers():
@@ -81,8 +83,8 @@ def test_quantisation_steps_are_not_outliers():
     assert np.count_nonzero(residuals)
     assert not reject_all_rounds(residuals, floor=step / math.sqrt(12)).any()
     residuals[1234] = 0.05
-    found = reject_all_rounds(residuals, floor=step / math.sqrt(12))
-    np.testing.assert_array_equal(np.flatnonzero(found), [1234])
+    rejection = reject_all_rounds(residuals, floor=step / math.sqrt(12))
+    np.testing.assert_array_equal(np.flatnonzero(rejection), [1234])
 
 
 @pytest.mark.parametrize("samples", [1, 63, 64])
@@ -103,10 +105,10 @@ def test_random_walk_neither_is_nor_hides_outliers(order):
         # From e^5 steps on: beyond what the walk does within four samples.
         planted = rng.random(n) < 0.01
         size = rng.choice([-1.0, 1.0], n) * np.exp(rng.uniform(5, 9, n))
-        found = reject_all_rounds(residuals + planted * size)
+        rejection = reject_all_rounds(residuals + planted * size)
         spikes += planted.sum()
-        missed += (planted & ~found).sum()
-        beside += (found & ~planted).sum()
+        missed += (planted & ~rejection).sum()
+        beside += (rejection & ~planted).sum()
     # At 0.01 a series, and as much again for the scale's own error; none runs away.
     assert alone <= 2 * series * EXPECTED_FALSE_ALARMS + 4 * math.sqrt(
         2 * series * EXPECTED_FALSE_ALARMS
@@ -136,11 +138,11 @@ def test_rejected_samples_are_not_found_again():
 @pytest.mark.parametrize("apart", [range(1, 5), range(1, 17), range(2, 33, 2)])
 def test_median_of_pairs_matches_pair_means(apart):
     values = np.random.default_rng(11).standard_normal(200)
-    found, variance = _pair_median(values, apart)
+    pair_median, variance = _pair_median(values, apart)
     reach = apart[-1]
     expected = [
         np.median([0.5 * (values[i - k] + values[i + k]) for k in apart])
         for i in range(reach, values.size - reach)
     ]
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(pair_median, expected)
     assert variance == pytest.approx(math.pi / 4 / len(apart))

@@ -27,7 +27,7 @@ def test_clock_column_matches_record_with_fast_clock(observable):
     """The record is sampled at true times and stamped by a clock that is 20 ppm fast."""
     ripple = Ripple(1, 1e-5 * math.pi, 0.5)
     true = Spindle(math.pi, 1e-6, (ripple,), 0.4)
-    made = simulate_series(
+    series = simulate_series(
         "run", math.pi, TRUTH, spindle=true, observable=observable, revolutions=40
     )
     # As read by that clock, the same angles are passed at lower rates.
@@ -36,8 +36,8 @@ def test_clock_column_matches_record_with_fast_clock(observable):
     read = simulate_series(
         "run", math.pi, TRUTH, spindle=slow, observable=observable, revolutions=40
     )
-    recorded = made.error + made.reference()
-    time = made.time * (1 + FAST)
+    recorded = series.error + series.reference()
+    time = series.time * (1 + FAST)
     read = replace(read, time=time, error=recorded)
     errors = np.array([*KNOWN.values()])
     perfect_clock = read.reference() + read.columns(list(KNOWN), 1.0) @ errors
@@ -78,6 +78,6 @@ def test_blocks_with_sign_change_have_mean_of_samples(size):
     exact = samples.columns(symbols, 1.0)[:rows].reshape(-1, size, len(symbols)).mean(axis=1)
     count = np.full(len(time), float(size))
     blocks = replace(samples, time=time.mean(axis=1), time_sd=time.std(axis=1), count=count)
-    found = blocks.columns(symbols, 1.0)
+    columns = blocks.columns(symbols, 1.0)
     assert np.any(np.abs(exact[:, 0]) < 0.49 * SITE.gravity)  # in mid-sign
-    np.testing.assert_allclose(found, exact, atol=1e-5 * np.abs(exact).max())
+    np.testing.assert_allclose(columns, exact, atol=1e-5 * np.abs(exact).max())

@@ -38,20 +38,20 @@ def noise_free_series():
 def add_time_jitter(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 0.0)):
     """Return the series with time-stamp errors relative to the sampling times."""
     drawn = []
-    for one in series:
-        rate, times = one.trajectory.spindle.rate, one.time
-        white = add_noise(one, Noise(WHITE[one.observable]), rng)
-        output = one.reference() + white.error
+    for record in series:
+        rate, times = record.trajectory.spindle.rate, record.time
+        white = add_noise(record, Noise(WHITE[record.observable]), rng)
+        output = record.reference() + white.error
         stamps = times + timing * rng.standard_normal(times.size)
-        turned = one.trajectory.spindle.angle(times)
+        turned = record.trajectory.spindle.angle(times)
         angle = turned + encoder_noise * rng.standard_normal(times.size)
         fit = fit_spindle(stamps, angle, rate)
         delay = fit.residuals / fit.spindle.angular_rate(stamps)
         known = (stated[0], stated[1] / rate)
         late = replace(
-            one,
+            record,
             time=stamps,
-            trajectory=replace(one.trajectory, spindle=fit.spindle),
+            trajectory=replace(record.trajectory, spindle=fit.spindle),
             angle_error=fit.error,
             timestamp_errors=TimestampErrors(
                 delay, fit.rms / rate, fit.dof, np.zeros(delay.size), *known
@@ -78,11 +78,11 @@ def test_u_matches_scatter(noise_free_series, observable, timing, stated):
     rng, trials, z = np.random.default_rng(1), 5, []
     for _ in range(trials):
         told = (timing if stated else 0.0, 0.0)
-        found = estimate(
+        estimation = estimate(
             add_time_jitter(noise_free_series[observable], timing, rng, stated=told), MODEL, request
         )
-        z += z_scores(found)
-        solution = found.fit.solution
+        z += z_scores(estimation)
+        solution = estimation.fit.solution
         assert solution.chi2 / solution.dof == pytest.approx(1.0, abs=5 * math.sqrt(2 / 2400))
     # K_F and K_II are correlated, hence half as many independent ones.
     assert np.mean(np.square(z)) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / (2 * trials)))
@@ -98,9 +98,9 @@ def test_few_samples_per_revolution_are_sufficient():
     ]
     for seed in range(3):
         drawn = add_time_jitter(noise_free_series, 2e-4, np.random.default_rng(seed))
-        found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
-        assert min(one.corrected_fraction for one in found.series) > 0.99
-        assert np.abs(z_scores(found)).max() < 4.0
+        estimation = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
+        assert min(record.corrected_fraction for record in estimation.series) > 0.99
+        assert np.abs(z_scores(estimation)).max() < 4.0
 
 
 def test_recorded_angle_corrects_time_stamps(noise_free_series):
@@ -109,7 +109,7 @@ def test_recorded_angle_corrects_time_stamps(noise_free_series):
         noise_free_series["specific_force"], 2e-4, np.random.default_rng(2), stated=(2e-4, 0.0)
     )
     request = {"Qx": Noise(WHITE["specific_force"])}
-    alone = [replace(one.correct_times(0.0), timestamp_errors=None) for one in drawn]
+    alone = [replace(record.correct_times(0.0), timestamp_errors=None) for record in drawn]
     apart = estimate(alone, MODEL, request).fit.solution.u[2]
     assert apart > 50.0 * estimate(drawn, MODEL, request).fit.solution.u[2]
 
@@ -125,12 +125,12 @@ def test_encoder_noise_is_separated_from_time_stamp_noise(noise_free_series, sta
         encoder_noise=noise,
         stated=stated,
     )
-    found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["velocity"])})
-    for one, rate in zip(found.series, RATES, strict=True):
+    estimation = estimate(drawn, MODEL, {"Qx": Noise(WHITE["velocity"])})
+    for record, rate in zip(estimation.series, RATES, strict=True):
         share = (timing * rate) ** 2 / ((timing * rate) ** 2 + noise**2)
-        assert one.corrected_fraction == pytest.approx(share, abs=0.12)
-        assert one.timestamp_sd == pytest.approx(noise / rate * math.sqrt(share), rel=0.2)
-    assert np.abs(z_scores(found)).max() < 4.0
+        assert record.corrected_fraction == pytest.approx(share, abs=0.12)
+        assert record.timestamp_sd == pytest.approx(noise / rate * math.sqrt(share), rel=0.2)
+    assert np.abs(z_scores(estimation)).max() < 4.0
 
 
 @pytest.mark.parametrize("observable", WHITE)
@@ -138,8 +138,8 @@ def test_accurate_time_stamps_are_not_corrected(noise_free_series, observable):
     rng = np.random.default_rng(4)
     for _ in range(5):
         drawn = add_time_jitter(noise_free_series[observable], 0.0, rng, encoder_noise=1e-5)
-        found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)})
-        assert all(one is other for one, other in zip(found.series, drawn, strict=True))
+        estimation = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)})
+        assert all(record is other for record, other in zip(estimation.series, drawn, strict=True))
 
 
 @pytest.mark.parametrize("observable", WHITE)
@@ -204,14 +204,14 @@ def test_columns_match_advanced_rotation(noise_free_series, observable, symbol):
 def test_second_order_bound_holds(noise_free_series, observable, share):
     rng = np.random.default_rng(7)
     for drawn in add_time_jitter(noise_free_series[observable], 1e-3, rng):
-        one = drawn.correct_times(share)
-        error, largest = one.angle_error, 0.0
+        times = drawn.correct_times(share)
+        error, largest = times.angle_error, 0.0
         for _ in range(20):
             sds = np.clip(rng.standard_normal(error.deviation.size), -1.7, 1.7)
             step = np.linalg.norm(error.root, axis=1) * sds
-            second = one.add_angle(step).error + one.add_angle(-step).error - 2.0 * one.error
+            second = times.add_angle(step).error + times.add_angle(-step).error - 2.0 * times.error
             largest = max(largest, float(np.abs(0.5 * second).max()))
-        assert 0.0 < largest < second_order_bound(one)
+        assert 0.0 < largest < second_order_bound(times)
 
 
 def test_ripples_hidden_by_jitter_are_followed_to_second_order():
@@ -220,9 +220,14 @@ def test_ripples_hidden_by_jitter_are_followed_to_second_order():
     ripples = [Spindle(w, ripples=one) for w, one in zip(RATES, hidden, strict=True)]
     noise_free_series = [
         simulate_series(
-            f"run{i}", one.rate, TRUTH, observable="specific_force", revolutions=25, spindle=one
+            f"run{i}",
+            ripple.rate,
+            TRUTH,
+            observable="specific_force",
+            revolutions=25,
+            spindle=ripple,
         )
-        for i, one in enumerate(ripples)
+        for i, ripple in enumerate(ripples)
     ]
     z = []
     for seed in range(3):
@@ -240,21 +245,21 @@ def test_dense_fit_with_time_of_each_row_agrees(noise_free_series, timing):
         noise_free_series["specific_force"], timing, rng, stated=(timing, ENCODER)
     )
     runs = []
-    for one in drawn:
-        stamped = one.time - one.corrected_fraction * one.timestamp_errors.delay
-        turned = one.trajectory.spindle.angle(stamped + one.timestamp_errors.delay)
-        runs.append(Records(stamped, turned, one.error + one.reference()))
+    for record in drawn:
+        stamped = record.time - record.corrected_fraction * record.timestamp_errors.delay
+        turned = record.trajectory.spindle.angle(stamped + record.timestamp_errors.delay)
+        runs.append(Records(stamped, turned, record.error + record.reference()))
     machine = Machine(2.5, SITE.gravity, SITE.latitude)
     white = WHITE["specific_force"]
     value, u = fit_rows(runs, machine, timing, ENCODER, white)
-    found = estimate(drawn, MODEL, {"Qx": Noise(white)}).fit.solution
-    np.testing.assert_allclose(found.u[:4], u, rtol=0.06)
-    assert np.abs((found.estimate[:4] - (value - [0, 1, 0, 0])) / u).max() < 0.15
+    solution = estimate(drawn, MODEL, {"Qx": Noise(white)}).fit.solution
+    np.testing.assert_allclose(solution.u[:4], u, rtol=0.06)
+    assert np.abs((solution.estimate[:4] - (value - [0, 1, 0, 0])) / u).max() < 0.15
 
 
 def test_small_angle_errors_need_no_additional_rotation(noise_free_series, monkeypatch):
     """The bound says so beforehand: no rotation is tried."""
     monkeypatch.setattr(rotation, "rotate_to_estimate", None)
     drawn = add_time_jitter(noise_free_series["specific_force"], 0.0, np.random.default_rng(8))
-    found = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
-    assert any(one.symbol in encoder.SYMBOLS for one in found.fit.model.unknowns)
+    estimation = estimate(drawn, MODEL, {"Qx": Noise(WHITE["specific_force"])})
+    assert any(unknown.symbol in encoder.SYMBOLS for unknown in estimation.fit.model.unknowns)

@@ -219,17 +219,17 @@ def test_negative_noise_raises(value):
 
 
 def test_requested_noise_is_singleton_across_processes():
-    asked = Noise(ESTIMATE, 0.2, 0.1, ESTIMATE)
-    assert asked.to_estimate == ("white", "flicker")
-    assert asked.has_bias_instability
-    again = pickle.loads(pickle.dumps(asked))
+    noise = Noise(ESTIMATE, 0.2, 0.1, ESTIMATE)
+    assert noise.to_estimate == ("white", "flicker")
+    assert noise.has_bias_instability
+    again = pickle.loads(pickle.dumps(noise))
     assert again.white is ESTIMATE
     assert again.known == Noise(0.0, 0.2, 0.1)
     assert repr(ESTIMATE) == "ESTIMATE"
     with pytest.raises(ValueError, match="quantisation"):
         Noise(1.0, 0.0, ESTIMATE)
-    found = asked.with_variances((0.25, 9.0, 0.04, 9.0))
-    assert found == Noise(math.sqrt(0.25 - 0.01 / 12), 0.2, 0.1, 0.2)
+    with_variances = noise.with_variances((0.25, 9.0, 0.04, 9.0))
+    assert with_variances == Noise(math.sqrt(0.25 - 0.01 / 12), 0.2, 0.1, 0.2)
 
 
 def test_singular_factor_raises():

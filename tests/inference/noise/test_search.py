@@ -58,18 +58,18 @@ def record(rng, n, noise, order=2):
 def test_white_noise_is_rss_over_degrees_of_freedom():
     rng = np.random.default_rng(1)
     data = record(rng, 200, Noise(0.3))
-    found = estimate_noise([data], Noise(ESTIMATE))
+    noise = estimate_noise([data], Noise(ESTIMATE))
     everything = np.column_stack([np.ones(200), data.times, data.design])
     rss = np.linalg.lstsq(everything, data.observations, rcond=None)[1][0]
-    assert found.noise.white**2 == pytest.approx(rss / 195, rel=1e-9)
-    assert found.degrees_of_freedom == 195
-    assert found.estimated == ("white",)
-    assert found.covariance[0, 0] == pytest.approx(2 * (rss / 195) ** 2 / 195, rel=1e-8)
-    assert not found.covariance[1].any()
+    assert noise.noise.white**2 == pytest.approx(rss / 195, rel=1e-9)
+    assert noise.degrees_of_freedom == 195
+    assert noise.estimated == ("white",)
+    assert noise.covariance[0, 0] == pytest.approx(2 * (rss / 195) ** 2 / 195, rel=1e-8)
+    assert not noise.covariance[1].any()
 
-    variances = found.noise.white**2 * np.array([1.0, 7.0])
+    variances = noise.noise.white**2 * np.array([1.0, 7.0])
     slope = np.outer([1.0, 7.0], [1.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(effective_dof(variances, slope, found.covariance), 195, rtol=1e-8)
+    np.testing.assert_allclose(effective_dof(variances, slope, noise.covariance), 195, rtol=1e-8)
 
 
 def dense_restricted(data, noise, prior_rows, prior_values):
@@ -137,14 +137,16 @@ def mixed_noise_trials():
     rows = []
     for _ in range(TRIALS):
         data = record(rng, n, noise)
-        found = estimate_noise([data], BOTH)
-        whitener, gain = covariance(found.noise)
+        actual_noise = estimate_noise([data], BOTH)
+        whitener, gain = covariance(actual_noise.noise)
         estimated = gain[:3] @ whitener.apply(data.observations)
-        u = np.sqrt(variances(found.noise))
+        u = np.sqrt(variances(actual_noise.noise))
         inverse = gain[:3] @ gain[:3].T
-        lost = information_loss(Differences.of(times, 2), columns(times), found.noise)
+        lost = information_loss(Differences.of(times, 2), columns(times), actual_noise.noise)
         slopes = np.diagonal(inverse @ lost @ inverse, axis1=1, axis2=2).T
-        rows.append((found, estimated, u, effective_dof(u**2, slopes, found.covariance)))
+        rows.append(
+            (actual_noise, estimated, u, effective_dof(u**2, slopes, actual_noise.covariance))
+        )
     return noise, rows, np.sqrt(variances(noise))
 
 
@@ -202,13 +204,13 @@ def test_threshold_matches_chi_square_mixture():
 
 def test_present_walk_is_estimated():
     rng = np.random.default_rng(5)
-    found = estimate_noise([record(rng, 800, Noise(0.3, 0.05))], BOTH)
-    assert found.estimated == ("white", "random_walk")
-    assert found.dropped == ()
-    levels = np.array([found.noise.white**2, found.noise.random_walk**2])
-    assert (np.abs(levels - [0.09, 0.0025]) < 4 * np.sqrt(np.diag(found.covariance)[:2])).all()
-    assert found.evaluations <= 30
-    likelihoods = found.log_likelihoods
+    noise = estimate_noise([record(rng, 800, Noise(0.3, 0.05))], BOTH)
+    assert noise.estimated == ("white", "random_walk")
+    assert noise.dropped == ()
+    levels = np.array([noise.noise.white**2, noise.noise.random_walk**2])
+    assert (np.abs(levels - [0.09, 0.0025]) < 4 * np.sqrt(np.diag(noise.covariance)[:2])).all()
+    assert noise.evaluations <= 30
+    likelihoods = noise.log_likelihoods
     assert likelihoods["white", "random_walk"] - likelihoods["white",] > 10
 
 
@@ -228,11 +230,11 @@ def test_negligible_component_does_not_delay_search():
 
 @pytest.mark.parametrize("order", [2, 1])
 def test_pure_walk_has_no_white_noise(order):
-    found = estimate_noise([record(np.random.default_rng(6), 400, Noise(0.0, 0.2), order)], BOTH)
-    assert found.dropped == ("white",)
-    assert found.noise.white == 0
-    assert found.noise.random_walk == pytest.approx(0.2, rel=4 / np.sqrt(2 * 400))
-    assert found.covariance[1, 1] == pytest.approx(2 * 0.2**4 / 395, rel=0.3)
+    noise = estimate_noise([record(np.random.default_rng(6), 400, Noise(0.0, 0.2), order)], BOTH)
+    assert noise.dropped == ("white",)
+    assert noise.noise.white == 0
+    assert noise.noise.random_walk == pytest.approx(0.2, rel=4 / np.sqrt(2 * 400))
+    assert noise.covariance[1, 1] == pytest.approx(2 * 0.2**4 / 395, rel=0.3)
 
 
 @pytest.mark.parametrize("added", [0.0, 2.5e-5], ids=["all to be found", "part of it known"])
@@ -246,32 +248,32 @@ def test_misfit_is_estimated_as_most_likely_noise(added):
     grid = [ratio(math.exp(size)) for size in np.arange(-25.0, 20.0, 0.25)]
     dense = [likelihood.value(likelihood.best_scale(unit), unit) for unit in grid]
     assert min(dense[: int(np.argmax(dense))]) < dense[0] - 10.0
-    found = estimate_noise([data], BOTH)
-    assert found.estimated == ("white", "random_walk")
-    assert found.log_likelihoods["white", "random_walk"] >= max(dense) - 1e-6
-    assert math.hypot(found.noise.white, math.sqrt(added)) < 0.02
+    noise = estimate_noise([data], BOTH)
+    assert noise.estimated == ("white", "random_walk")
+    assert noise.log_likelihoods["white", "random_walk"] >= max(dense) - 1e-6
+    assert math.hypot(noise.noise.white, math.sqrt(added)) < 0.02
 
 
 def test_velocity_records_share_noise():
     rng = np.random.default_rng(7)
     records = [record(rng, n, Noise(0.3, 0.2), order=1) for n in (300, 500)]
-    found = estimate_noise(records, BOTH)
-    levels = np.array([found.noise.white**2, found.noise.random_walk**2])
-    assert (np.abs(levels - [0.09, 0.04]) < 4 * np.sqrt(np.diag(found.covariance)[:2])).all()
+    noise = estimate_noise(records, BOTH)
+    levels = np.array([noise.noise.white**2, noise.noise.random_walk**2])
+    assert (np.abs(levels - [0.09, 0.04]) < 4 * np.sqrt(np.diag(noise.covariance)[:2])).all()
     alone = estimate_noise(records[:1], BOTH)
-    assert (np.diag(found.covariance)[:2] < np.diag(alone.covariance)[:2]).all()
+    assert (np.diag(noise.covariance)[:2] < np.diag(alone.covariance)[:2]).all()
 
 
 def test_specific_force_does_not_separate_walk_from_white_noise():
     rng = np.random.default_rng(8)
     design = rng.normal(size=(300, 2))
     data = RecordData(np.arange(300) * 0.5, 0, design, 0.1 * rng.normal(size=300))
-    found = estimate_noise([data], BOTH)
-    assert found.estimated == ("white",)
-    assert found.degrees_of_freedom == 298
+    noise = estimate_noise([data], BOTH)
+    assert noise.estimated == ("white",)
+    assert noise.degrees_of_freedom == 298
     # With the walk given, the white part is what is left: 0.1^2 = white^2 + N^2/h.
     given = estimate_noise([data], Noise(ESTIMATE, 0.03)).noise
-    assert given.white**2 + 0.03**2 / 0.5 == pytest.approx(found.noise.white**2, rel=1e-3)
+    assert given.white**2 + 0.03**2 / 0.5 == pytest.approx(noise.noise.white**2, rel=1e-3)
     assert given.random_walk == 0.03
 
 
@@ -296,16 +298,16 @@ def test_quantisation_larger_than_noise():
     data = record(rng, 500, Noise(0.05, 0.0, 1.0))
     # The start velocity sweeps the signal over many steps, so that rounding errors are spread.
     swept = 1.0 * np.round(data.observations + 0.37 * data.times)
-    found = estimate_noise([replace(data, observations=swept)], Noise(ESTIMATE, ESTIMATE, 1.0))
-    assert found.noise.quantisation == 1.0
-    assert found.noise.sample_variance == pytest.approx(1 / 12, rel=4 * np.sqrt(2 / 500))
+    noise = estimate_noise([replace(data, observations=swept)], Noise(ESTIMATE, ESTIMATE, 1.0))
+    assert noise.noise.quantisation == 1.0
+    assert noise.noise.sample_variance == pytest.approx(1 / 12, rel=4 * np.sqrt(2 / 500))
     # Most residuals equal zero: no smaller than the step allows, and not singular.
     still = np.zeros(500)
     still[::50] = 1.0
-    found = estimate_noise([replace(data, observations=still)], Noise(ESTIMATE, ESTIMATE, 1.0))
-    assert found.noise.white == 0
-    assert found.estimated == ()
-    assert found.noise.sample_variance == pytest.approx(1 / 12)
+    noise = estimate_noise([replace(data, observations=still)], Noise(ESTIMATE, ESTIMATE, 1.0))
+    assert noise.noise.white == 0
+    assert noise.estimated == ()
+    assert noise.noise.sample_variance == pytest.approx(1 / 12)
 
 
 def test_start_errors_and_repeated_columns_count_once():
@@ -368,11 +370,11 @@ def test_records_may_list_affected_unknowns():
         design[:, [k + 1, 0]] = np.column_stack([own, common])
         dense.append(RecordData(times, 2, design, y))
     prior = {"prior_rows": np.eye(4) / 0.05, "prior_values": np.zeros(4)}
-    one, other = (estimate_noise(records, BOTH, **prior) for records in (compact, dense))
-    assert one.noise.variances == pytest.approx(other.noise.variances, rel=1e-6)
-    assert one.degrees_of_freedom == pytest.approx(other.degrees_of_freedom, rel=1e-9)
-    for names, value in one.log_likelihoods.items():
-        assert value == pytest.approx(other.log_likelihoods[names], rel=1e-9)
+    first, second = (estimate_noise(records, BOTH, **prior) for records in (compact, dense))
+    assert first.noise.variances == pytest.approx(second.noise.variances, rel=1e-6)
+    assert first.degrees_of_freedom == pytest.approx(second.degrees_of_freedom, rel=1e-9)
+    for names, value in first.log_likelihoods.items():
+        assert value == pytest.approx(second.log_likelihoods[names], rel=1e-9)
 
 
 # Wander -------------------------------------------------------------------------------------------
@@ -394,13 +396,13 @@ def test_flicker_sizes_are_estimated():
         )
         for _ in range(2)
     ]
-    found = estimate_noise(records, Noise(ESTIMATE, 0.0, 0.0, ESTIMATE, 0.0))
-    assert found.estimated == ("white", "flicker")
+    actual_noise = estimate_noise(records, Noise(ESTIMATE, 0.0, 0.0, ESTIMATE, 0.0))
+    assert actual_noise.estimated == ("white", "flicker")
     for place, name in ((0, "white"), (2, "flicker")):
         square = getattr(noise, name) ** 2
-        error = math.sqrt(found.covariance[place, place])
+        error = math.sqrt(actual_noise.covariance[place, place])
         assert error < square
-        assert abs(getattr(found.noise, name) ** 2 - square) < 3 * error
+        assert abs(getattr(actual_noise.noise, name) ** 2 - square) < 3 * error
 
 
 def test_absent_wander_is_dropped_or_small():
@@ -408,8 +410,8 @@ def test_absent_wander_is_dropped_or_small():
     times = np.arange(400) * 0.5
     white = 1e-3 * rng.standard_normal(times.size)
     records = [RecordData(times, 1, np.empty((times.size, 0)), white)]
-    found = estimate_noise(records, Noise(ESTIMATE, 0.0, 0.0, ESTIMATE, ESTIMATE))
-    assert found.noise.white == pytest.approx(1e-3, rel=0.1)
-    assert "bias_walk" in found.dropped
+    noise = estimate_noise(records, Noise(ESTIMATE, 0.0, 0.0, ESTIMATE, ESTIMATE))
+    assert noise.noise.white == pytest.approx(1e-3, rel=0.1)
+    assert "bias_walk" in noise.dropped
     # Over the whole record it would add less than the white noise of one sample.
-    assert found.noise.flicker * times[-1] < 2e-3
+    assert noise.noise.flicker * times[-1] < 2e-3

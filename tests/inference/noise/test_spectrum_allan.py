@@ -34,8 +34,8 @@ def test_nine_values_match_nist(count, published):
 )
 def test_thousand_values_match_nist(count, published):
     """NIST SP 1065, table 31."""
-    found = allan_deviation(integral(numbers(1000)), 1.0, count)
-    assert found == pytest.approx(published, rel=2e-7)
+    allan_deviation_result = allan_deviation(integral(numbers(1000)), 1.0, count)
+    assert allan_deviation_result == pytest.approx(published, rel=2e-7)
 
 
 def test_degrees_of_freedom_of_thousand_values_match_nist():
@@ -65,10 +65,10 @@ def test_deviation_and_dof_match_allantools(count):
     assert allan_deviation(integral(values, step), step, count) == pytest.approx(
         deviation, rel=1e-9
     )
-    found = [
+    actual_allan_moments = [
         allan_moments(4096, step, Sampling(1, 1), one, count)[1] for one in (WHITE, FLICKER, WALK)
     ]
-    np.testing.assert_allclose(found, freedom, rtol=0.06 if count == 16 else 0.006)
+    np.testing.assert_allclose(actual_allan_moments, freedom, rtol=0.06 if count == 16 else 0.006)
 
 
 @pytest.mark.parametrize("count", [1, 4, 30])

@@ -45,7 +45,7 @@ def trials():
 @pytest.mark.parametrize(("name", "size"), [("random_walk", N), ("flicker", B)])
 def test_sizes_are_unbiased_and_intervals_have_coverage(trials, name, size):
     """Mean within 3.5 of its standard deviations; 95 % intervals miss no more than 1 in 2000."""
-    sizes = [one.components[name] for one in trials]
+    sizes = [trial.components[name] for trial in trials]
     ratio = np.array([one.variance for one in sizes]) / size**2
     assert abs(ratio.mean() - 1.0) < 3.5 * ratio.std() / math.sqrt(TRIALS)
     assert ratio.std() < 0.35
@@ -57,16 +57,16 @@ def test_sizes_are_unbiased_and_intervals_have_coverage(trials, name, size):
 def test_absent_components_are_rarely_estimated(trials):
     """At most 5 in 100 of each: P(more) < 5e-4."""
     for name in ("white", "bias_walk"):
-        kept = sum(one.components[name].variance > 0.0 for one in trials)
+        kept = sum(trial.components[name].variance > 0.0 for trial in trials)
         assert kept <= (3 if TRIALS == 8 else 37)
-        for one in trials:
-            component = one.components[name]
+        for new_trial in trials:
+            component = new_trial.components[name]
             assert component.high > component.variance >= component.low
             assert component.variance > 0.0 or component.low == 0.0
 
 
 def test_u_of_drift_matches_scatter(trials):
-    z = np.array([one.drift / one.u_drift for one in trials])
+    z = np.array([trial.drift / trial.u_drift for trial in trials])
     assert abs(z.mean()) < 3.5 / math.sqrt(TRIALS)
     assert 0.6 < z.std() < 1.5
 

@@ -61,12 +61,12 @@ def test_intervals_of_white_noise_have_coverage(monkeypatch, log):
         rng = np.random.default_rng(seed)
         time = np.arange(SAMPLES) * STEP
         values = 9.8 + SIGMA * rng.standard_normal(SAMPLES)
-        found = analyse(split_segments(*log(rng, time, values)), 0).noise
-        white = found.components["random_walk"]
+        noise = analyse(split_segments(*log(rng, time, values)), 0).noise
+        white = noise.components["random_walk"]
         true = SIGMA**2 * STEP
         hold += white.low <= true <= white.high
         ratios.append(white.variance / true)
-        assert found.components["flicker"].variance == 0.0 or found.components["flicker"].low == 0.0
+        assert noise.components["flicker"].variance == 0.0 or noise.components["flicker"].low == 0.0
     assert hold >= binom.ppf(1e-4, TRIALS, 0.95)
     # The variance of so many samples is known to sqrt(2 / n); the bound is four of its errors.
     assert abs(np.mean(ratios) - 1.0) < 4.0 * np.sqrt(2.0 / (0.8 * SAMPLES * TRIALS))

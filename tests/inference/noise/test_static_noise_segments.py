@@ -15,12 +15,12 @@ def record(n=4000, seed=1):
 
 def test_clean_record_is_single_segment():
     time, values = record()
-    found = split_segments(time, values)
-    ((start, part),) = found.segments
+    segments = split_segments(time, values)
+    ((start, part),) = segments.segments
     assert start == 0.0
     np.testing.assert_allclose(part, values, atol=1e-12)
-    assert (found.rows, found.outliers, found.filled, found.gaps) == (4000, 0, 0, 0)
-    assert found.step == pytest.approx(STEP, rel=1e-9)
+    assert (segments.rows, segments.outliers, segments.filled, segments.gaps) == (4000, 0, 0, 0)
+    assert segments.step == pytest.approx(STEP, rel=1e-9)
 
 
 def test_outliers_and_short_gaps_are_filled_and_long_gaps_split():
@@ -30,27 +30,27 @@ def test_outliers_and_short_gaps_are_filled_and_long_gaps_split():
     keep = np.ones(4000, bool)
     keep[1000:1002] = False
     keep[2000:2300] = False
-    found = split_segments(time[keep], values[keep])
-    assert (found.outliers, found.filled, found.gaps) == (2, 5, 1)
-    assert [(start, part.size) for start, part in found.segments] == [(0.0, 2000), (23.0, 1700)]
+    segments = split_segments(time[keep], values[keep])
+    assert (segments.outliers, segments.filled, segments.gaps) == (2, 5, 1)
+    assert [(start, part.size) for start, part in segments.segments] == [(0.0, 2000), (23.0, 1700)]
     between = 0.5 * (values[499] + values[501])
-    assert found.segments[0][1][500] == pytest.approx(between)
+    assert segments.segments[0][1][500] == pytest.approx(between)
 
 
 def test_rows_of_other_sensors_are_not_samples():
     """A log of two sensors with a row, and an empty cell, for each sample of the other."""
     time, values = record()
     rows = np.sort(np.append(time, time + 0.4 * STEP))
-    found = split_segments(rows, np.column_stack([values, np.full(4000, np.nan)]).ravel())
-    assert (found.filled, found.gaps) == (0, 0)
-    assert found.sample_interval == pytest.approx(STEP, rel=1e-9)
+    segments = split_segments(rows, np.column_stack([values, np.full(4000, np.nan)]).ravel())
+    assert (segments.filled, segments.gaps) == (0, 0)
+    assert segments.sample_interval == pytest.approx(STEP, rel=1e-9)
 
 
 def test_repeated_rows_count_once():
     time, values = record()
     again = np.insert(np.arange(4000), 100, 100)
-    found = split_segments(time[again], values[again])
-    assert found.segments[0][1].size == 4000
+    segments = split_segments(time[again], values[again])
+    assert segments.segments[0][1].size == 4000
 
 
 @pytest.mark.parametrize(
@@ -81,16 +81,16 @@ def test_segments_share_noise():
 def test_long_records_are_thinned_without_bias():
     rng = np.random.default_rng(2)
     n = MAX_SAMPLES + 10_000
-    found = analyse(split_segments(np.arange(n) * STEP, 1e-3 * rng.standard_normal(n)), 0)
-    assert found.step == pytest.approx(2.0 * STEP)
-    size = found.noise.components["random_walk"]
+    analysis = analyse(split_segments(np.arange(n) * STEP, 1e-3 * rng.standard_normal(n)), 0)
+    assert analysis.step == pytest.approx(2.0 * STEP)
+    size = analysis.noise.components["random_walk"]
     assert size.low < 1e-6 * STEP < size.high
 
 
 def test_line_is_removed_before_noise_estimation():
     time, values = record()
-    found = analyse(split_segments(time, values + 1e-3 * np.sin(2.0 * np.pi * 7.3 * time)), 0)
-    (line,) = found.lines
+    analysis = analyse(split_segments(time, values + 1e-3 * np.sin(2.0 * np.pi * 7.3 * time)), 0)
+    (line,) = analysis.lines
     assert abs(line.frequency - 7.3) < 4.0 * line.u_frequency
-    size = found.noise.components["random_walk"]
+    size = analysis.noise.components["random_walk"]
     assert size.low < 1e-6 * STEP < size.high

@@ -84,8 +84,8 @@ def test_mixture_interval_has_stated_probability():
     assert dof[3] == math.inf
     assert u[3] == 1.0
     drawn = rng.choice(unseen.levels, 200_000, p=unseen.weights)
-    found = np.sqrt(variance[0] + slope[0] * drawn) * rng.standard_normal(drawn.size)
-    inside = np.mean(stdtr(dof[0], np.abs(found) / u[0]) < 0.975)
+    sqrt = np.sqrt(variance[0] + slope[0] * drawn) * rng.standard_normal(drawn.size)
+    inside = np.mean(stdtr(dof[0], np.abs(sqrt) / u[0]) < 0.975)
     assert inside == pytest.approx(0.95, abs=4 * math.sqrt(0.05 * 0.95 / drawn.size))
 
 
@@ -143,7 +143,11 @@ def test_reduced_allowance_fails_at_detection_limit(monkeypatch):
     monkeypatch.setattr(undetected_walk, "PRIOR_EXPONENT", PRIOR_EXPONENT / 3.0)
     for walk, trials in ((0.0, 60), (6.0, 200)):
         slow = Slow(5.0, np.random.default_rng(1))
-        dropped = [one for _ in range(trials) if (one := slow.interval_holds(walk)) is not None]
+        dropped = [
+            interval_holds
+            for _ in range(trials)
+            if (interval_holds := slow.interval_holds(walk)) is not None
+        ]
         assert len(dropped) > trials / 2
         if walk == 0.0:
             assert all(dropped)
@@ -168,11 +172,11 @@ def test_coefficient_intervals_have_coverage_at_detection_limit(noise_free_serie
     trials = 1000 if FULL else 6
     inside, kept = np.zeros(TRUE.size), 0
     for _ in range(trials):
-        drawn = [add_noise(one, Noise(0.01, walk), rng) for one in noise_free_series]
-        found = estimate(drawn, MODEL, BOTH, rejects_outliers=False)
-        kept += "random_walk" in found.estimated_noise["Qx"].estimated
-        size = stdtrit(np.minimum(found.dof, 1e6), 0.975) * found.fit.solution.u
-        inside += np.abs(found.fit.solution.estimate - TRUE) < size
+        drawn = [add_noise(record, Noise(0.01, walk), rng) for record in noise_free_series]
+        estimation = estimate(drawn, MODEL, BOTH, rejects_outliers=False)
+        kept += "random_walk" in estimation.estimated_noise["Qx"].estimated
+        size = stdtrit(np.minimum(estimation.dof, 1e6), 0.975) * estimation.fit.solution.u
+        inside += np.abs(estimation.fit.solution.estimate - TRUE) < size
     spread = 3.5 * math.sqrt(0.05 * 0.95 / trials)
     assert (inside / trials > 0.95 - spread).all()
     # K_I and K_III rest on changes that no walk of this size reaches.
@@ -186,10 +190,12 @@ def test_coefficient_intervals_have_coverage_at_detection_limit(noise_free_serie
 
 @pytest.fixture(scope="module")
 def dropped(noise_free_series):
-    drawn = [add_noise(one, Noise(0.01), np.random.default_rng(4)) for one in noise_free_series]
-    found = estimate(drawn, MODEL, BOTH, rejects_outliers=False)
-    assert found.estimated_noise["Qx"].dropped == ("random_walk",)
-    return drawn, found
+    drawn = [
+        add_noise(record, Noise(0.01), np.random.default_rng(4)) for record in noise_free_series
+    ]
+    estimation = estimate(drawn, MODEL, BOTH, rejects_outliers=False)
+    assert estimation.estimated_noise["Qx"].dropped == ("random_walk",)
+    return drawn, estimation
 
 
 def test_estimate_matches_white_noise(dropped):
@@ -210,14 +216,14 @@ def test_walk_contribution_matches_simulated_walks(dropped):
     for _ in range(trials):
         walks = tuple(
             replace(
-                one,
+                design_block,
                 series=add_noise(
-                    replace(one.series, error=np.zeros(one.series.time.size)),
+                    replace(design_block.series, error=np.zeros(design_block.series.time.size)),
                     Noise(0.0, level),
                     rng,
                 ),
             )
-            for one in found.fit.design_blocks
+            for design_block in found.fit.design_blocks
         )
         estimates.append(solve_joint(walks, MODEL, found.fit.noise).solution.estimate)
     variance = np.var(estimates, axis=0)
@@ -321,12 +327,14 @@ def test_budget_names_undetected_walk(dropped):
 
 
 def test_only_requested_walk_can_be_undetected(noise_free_series):
-    drawn = [add_noise(one, Noise(0.01), np.random.default_rng(6)) for one in noise_free_series]
-    found = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, rejects_outliers=False)
-    assert found.estimated_noise["Qx"].undetected_walk is None
+    drawn = [
+        add_noise(record, Noise(0.01), np.random.default_rng(6)) for record in noise_free_series
+    ]
+    estimation = estimate(drawn, MODEL, {"Qx": Noise(ESTIMATE, 0.0)}, rejects_outliers=False)
+    assert estimation.estimated_noise["Qx"].undetected_walk is None
     # White noise of a known size leaves the walk to be looked for all the same.
-    found = estimate(drawn, MODEL, {"Qx": Noise(0.01, ESTIMATE)}, rejects_outliers=False)
-    assert found.estimated_noise["Qx"].dropped == ("random_walk",)
-    assert found.fit.undetected_walks["Qx"][0] > 0.0
-    assert found.dof[0] < 50
-    assert found.dof[1] > 1e3
+    estimation = estimate(drawn, MODEL, {"Qx": Noise(0.01, ESTIMATE)}, rejects_outliers=False)
+    assert estimation.estimated_noise["Qx"].dropped == ("random_walk",)
+    assert estimation.fit.undetected_walks["Qx"][0] > 0.0
+    assert estimation.dof[0] < 50
+    assert estimation.dof[1] > 1e3

@@ -24,24 +24,24 @@ def strobes(time, error=None, noise_factor=None):
 @pytest.mark.parametrize(("period", "printed"), [(4, 8.38735e-8), (2, 3.35494e-7), (1, 1.34198e-6)])
 def test_u_of_b2_matches_paper_plan(period, printed):
     n = 100
-    found = first_stage(strobes((0.25 + np.arange(n)) * period), SIGMA)
+    parabola = first_stage(strobes((0.25 + np.arange(n)) * period), SIGMA)
     # The quadratic orthogonal polynomial on n even points has the norm n(n^2-1)(n^2-4)/180.
     closed = SIGMA / period**2 * math.sqrt(180 / (n * (n**2 - 1) * (n**2 - 4)))
-    assert found.u_b2 == pytest.approx(closed, rel=1e-10)
-    assert found.u_b2 == pytest.approx(printed, rel=1e-5)
+    assert parabola.u_b2 == pytest.approx(closed, rel=1e-10)
+    assert parabola.u_b2 == pytest.approx(printed, rel=1e-5)
 
 
 def test_parabola_is_recovered_far_from_time_zero():
     time = 300.0 + 0.7 * np.arange(50)
     truth = np.array([0.3, -2e-3, 5e-4])
-    found = first_stage(strobes(time, np.polynomial.polynomial.polyval(time, truth)), SIGMA)
+    parabola = first_stage(strobes(time, np.polynomial.polynomial.polyval(time, truth)), SIGMA)
     # Rounding of 50 m, made larger by the condition of so far an extrapolation, (315/17)^2.
-    np.testing.assert_allclose(found.coefficients, truth, rtol=1e-10)
-    assert np.abs(found.residuals).max() < 350 * 50 * 2.3e-16 * 10
+    np.testing.assert_allclose(parabola.coefficients, truth, rtol=1e-10)
+    assert np.abs(parabola.residuals).max() < 350 * 50 * 2.3e-16 * 10
     np.testing.assert_allclose(
-        found.gain @ np.vander(time, 3, increasing=True), np.eye(3), atol=1e-7
+        parabola.gain @ np.vander(time, 3, increasing=True), np.eye(3), atol=1e-7
     )
-    assert found.b2 == found.coefficients[2]
+    assert parabola.b2 == parabola.coefficients[2]
 
 
 def test_weights_follow_noise_factors():
@@ -49,14 +49,16 @@ def test_weights_follow_noise_factors():
     time = np.sort(rng.uniform(0.0, 10.0, 12))
     factor = rng.uniform(0.7, 1.0, 12)
     error = rng.standard_normal(12)
-    found = first_stage(strobes(time, error, factor), SIGMA)
+    parabola = first_stage(strobes(time, error, factor), SIGMA)
     x = np.vander(time, 3, increasing=True)
     information = x.T @ np.diag(1 / (SIGMA * factor) ** 2) @ x
     expected = np.linalg.solve(information, x.T @ (error / (SIGMA * factor) ** 2))
-    np.testing.assert_allclose(found.coefficients, expected, rtol=1e-9)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=1e-9)
-    assert found.chi2 == pytest.approx(np.sum((found.residuals / (SIGMA * factor)) ** 2), rel=1e-12)
-    assert found.dof == 9
+    np.testing.assert_allclose(parabola.coefficients, expected, rtol=1e-9)
+    np.testing.assert_allclose(parabola.covariance, np.linalg.inv(information), rtol=1e-9)
+    assert parabola.chi2 == pytest.approx(
+        np.sum((parabola.residuals / (SIGMA * factor)) ** 2), rel=1e-12
+    )
+    assert parabola.dof == 9
 
 
 def test_sigma_is_given_or_from_residuals():
@@ -95,20 +97,20 @@ def test_random_walk_is_whitened():
     factor = rng.uniform(0.7, 1.0, 40)
     error = rng.standard_normal(40)
     plain = first_stage(strobes(time, error, factor), SIGMA)
-    found = first_stage(strobes(time, error, factor), SIGMA, walk)
+    parabola = first_stage(strobes(time, error, factor), SIGMA, walk)
     covariance = np.diag((SIGMA * factor) ** 2) + walk_covariance(time, walk)
     np.testing.assert_allclose(
-        found.covariance, found.gain @ covariance @ found.gain.T, rtol=1e-9, atol=0
+        parabola.covariance, parabola.gain @ covariance @ parabola.gain.T, rtol=1e-9, atol=0
     )
     x = np.vander(time, 3, increasing=True)
-    np.testing.assert_allclose(found.gain @ x, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(parabola.gain @ x, np.eye(3), atol=1e-9)
     # b2 is the estimate of least variance.
     inverse = np.linalg.inv(covariance)
     least = np.linalg.inv(x.T @ inverse @ x)
-    assert found.u_b2 == pytest.approx(math.sqrt(least[2, 2]), rel=1e-9)
-    assert found.b2 == pytest.approx((least @ x.T @ inverse @ error)[2], rel=1e-7)
-    assert found.u_b2 > 2 * plain.u_b2  # so that it is the walk that was tested
-    assert found.chi2 == pytest.approx(
+    assert parabola.u_b2 == pytest.approx(math.sqrt(least[2, 2]), rel=1e-9)
+    assert parabola.b2 == pytest.approx((least @ x.T @ inverse @ error)[2], rel=1e-7)
+    assert parabola.u_b2 > 2 * plain.u_b2  # so that it is the walk that was tested
+    assert parabola.chi2 == pytest.approx(
         error @ (inverse - inverse @ x @ least @ x.T @ inverse) @ error, rel=1e-7
     )
 
@@ -117,14 +119,14 @@ def test_u_with_random_walk_matches_scatter():
     rng = np.random.default_rng(3)
     walk, step, each, count, trials = 2e-4, 0.05, 40, 20, 4000
     time = each * step * np.arange(1, count + 1)
-    found = first_stage(strobes(time), 0.0, walk)
+    parabola = first_stage(strobes(time), 0.0, walk)
     # White acceleration, one value a step, integrated twice by plain sums.
     acceleration = walk / math.sqrt(step) * rng.standard_normal((trials, each * count))
     velocity = np.cumsum(acceleration, axis=1) * step
     position = np.cumsum(velocity - 0.5 * step * acceleration, axis=1) * step
-    b2 = position[:, each - 1 :: each] @ found.gain[2]
+    b2 = position[:, each - 1 :: each] @ parabola.gain[2]
     # A standard deviation from n draws scatters by 1/sqrt(2 n) = 1.1 %.
-    assert np.std(b2) / found.u_b2 == pytest.approx(1.0, abs=4 / math.sqrt(2 * trials))
+    assert np.std(b2) / parabola.u_b2 == pytest.approx(1.0, abs=4 / math.sqrt(2 * trials))
 
 
 @pytest.mark.parametrize("given", [True, False])
@@ -136,7 +138,7 @@ def test_interval_of_b2_has_95_percent_coverage(given):
     covered = 0
     for _ in range(trials):
         error = truth * time**2 + SIGMA * factor * rng.standard_normal(8)
-        found = first_stage(strobes(time, error, factor), SIGMA if given else None)
-        k = 1.959964 if given else stdtrit(found.dof, 0.975)  # 2.57 with 5 degrees of freedom
-        covered += abs(found.b2 - truth) < k * found.u_b2
+        parabola = first_stage(strobes(time, error, factor), SIGMA if given else None)
+        k = 1.959964 if given else stdtrit(parabola.dof, 0.975)  # 2.57 with 5 degrees of freedom
+        covered += abs(parabola.b2 - truth) < k * parabola.u_b2
     assert covered / trials == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / trials))

@@ -56,36 +56,36 @@ def test_strobes_are_zeros_of_reference(axis, rate, start_angle):
     time = np.arange(0.0, 20.0 * TURN / 2.0, 0.02)
     slope, offset = 3.0, 0.2
     error = offset + slope * time  # which a straight line interpolates exactly
-    found = by_angle(time, spindle.angle(time), error, strobe_angle(direction(axis)))
+    strobes = by_angle(time, spindle.angle(time), error, strobe_angle(direction(axis)))
 
     motion = Trajectory(spindle, 2.5, Site(9.8, 0.8))
     mounting = Mounting.from_axes(axis, "down")
     # The angle is interpolated in a straight line as well: h^2/8 of its acceleration.
     off = 2.5 * 0.02**2 / 8 * (1e-3 * rate**2)
-    assert np.abs(reference(motion, mounting, found.time)).max() < 1.01 * off
+    assert np.abs(reference(motion, mounting, strobes.time)).max() < 1.01 * off
     # Always the same of the two zeros: in the positive sense the reference goes from plus to minus.
-    velocity = reference(motion, mounting, found.time, "velocity")
+    velocity = reference(motion, mounting, strobes.time, "velocity")
     assert np.all(np.sign(velocity) == -np.sign(rate))
-    turns = spindle.angle(found.time) / TURN
+    turns = spindle.angle(strobes.time) / TURN
     np.testing.assert_allclose(np.abs(np.diff(turns)), 1.0, atol=2.0 * off / 2.5)
-    assert found.time.size in (20, 21)
-    np.testing.assert_allclose(found.error, offset + slope * found.time, rtol=1e-12)
-    assert found.lost == 0
+    assert strobes.time.size in (20, 21)
+    np.testing.assert_allclose(strobes.error, offset + slope * strobes.time, rtol=1e-12)
+    assert strobes.lost == 0
 
 
 def test_strobes_of_paper_are_at_quarter_turn_plus_whole_turns():
     rate = math.pi / 2
     time = np.arange(20001) / 50.0  # 100 revolutions
-    found = by_nominal_rate(time, rate, time**2, math.pi / 2)
-    np.testing.assert_allclose(found.time, 1.0 + 4.0 * np.arange(100), rtol=1e-13)
-    np.testing.assert_allclose(found.error, found.time**2, rtol=1e-12)
-    np.testing.assert_allclose(found.noise_factor, 1.0, rtol=1e-9)
+    runs_by_rate = by_nominal_rate(time, rate, time**2, math.pi / 2)
+    np.testing.assert_allclose(runs_by_rate.time, 1.0 + 4.0 * np.arange(100), rtol=1e-13)
+    np.testing.assert_allclose(runs_by_rate.error, runs_by_rate.time**2, rtol=1e-12)
+    np.testing.assert_allclose(runs_by_rate.noise_factor, 1.0, rtol=1e-9)
 
 
 def test_strobe_midway_between_two_samples_has_half_the_variance():
     time = np.arange(200) * 0.1
-    found = by_nominal_rate(time, TURN, time, TURN * 0.55)
-    np.testing.assert_allclose(found.noise_factor, math.sqrt(0.5), rtol=1e-9)
+    runs_by_rate = by_nominal_rate(time, TURN, time, TURN * 0.55)
+    np.testing.assert_allclose(runs_by_rate.noise_factor, math.sqrt(0.5), rtol=1e-9)
     quarter = by_nominal_rate(time, TURN, time, TURN * 0.525)
     np.testing.assert_allclose(quarter.noise_factor, math.hypot(0.75, 0.25), rtol=1e-9)
 
@@ -95,18 +95,18 @@ def test_strobe_on_sample_needs_no_neighbours(rate):
     time = np.arange(101) / 20.0
     alone = np.full(time.size, np.nan)
     alone[::20] = 7.0
-    found = by_nominal_rate(time, rate, alone, 0.0)
-    np.testing.assert_allclose(found.time, np.arange(6.0), atol=1e-12)
-    np.testing.assert_allclose(found.error, 7.0)
-    np.testing.assert_allclose(found.noise_factor, 1.0)
-    assert found.lost == 0
+    runs_by_rate = by_nominal_rate(time, rate, alone, 0.0)
+    np.testing.assert_allclose(runs_by_rate.time, np.arange(6.0), atol=1e-12)
+    np.testing.assert_allclose(runs_by_rate.error, 7.0)
+    np.testing.assert_allclose(runs_by_rate.noise_factor, 1.0)
+    assert runs_by_rate.lost == 0
 
 
 def test_blocks_of_samples_have_noise_of_mean():
     time = np.arange(200) * 0.1
     count = np.where(np.arange(200) % 2 == 0, 4.0, 9.0)
-    found = by_nominal_rate(time, TURN, time, TURN * 0.55, count)
-    np.testing.assert_allclose(found.noise_factor, 0.5 * math.sqrt(1 / 4 + 1 / 9), rtol=1e-9)
+    runs_by_rate = by_nominal_rate(time, TURN, time, TURN * 0.55, count)
+    np.testing.assert_allclose(runs_by_rate.noise_factor, 0.5 * math.sqrt(1 / 4 + 1 / 9), rtol=1e-9)
 
 
 def test_strobes_near_missing_samples_and_gaps_are_counted_as_lost():
@@ -114,18 +114,18 @@ def test_strobes_near_missing_samples_and_gaps_are_counted_as_lost():
     error = time.copy()
     error[[105, 106]] = np.nan  # between them lies the strobe at 10.55 s
     gap = (time > 30.0) & (time < 33.0)  # the strobes at 30.55, 31.55 and 32.55 s
-    found = by_nominal_rate(time[~gap], TURN, error[~gap], TURN * 0.55)
+    runs_by_rate = by_nominal_rate(time[~gap], TURN, error[~gap], TURN * 0.55)
     expected = [k + 0.55 for k in range(100) if k not in (10, 30, 31, 32)]
-    np.testing.assert_allclose(found.time, expected, rtol=1e-12)
-    assert found.lost == 4
+    np.testing.assert_allclose(runs_by_rate.time, expected, rtol=1e-12)
+    assert runs_by_rate.lost == 4
 
 
 def test_noisy_angle_has_no_duplicate_strobes():
     rng = np.random.default_rng(5)
     time = np.arange(2000) * 0.01
     angle = TURN * time + 0.05 * rng.standard_normal(time.size)  # steps back now and then
-    found = by_angle(time, angle, time, 1.0)
-    np.testing.assert_allclose(found.time, np.arange(20) + 1.0 / TURN, atol=0.05)
+    strobes = by_angle(time, angle, time, 1.0)
+    np.testing.assert_allclose(strobes.time, np.arange(20) + 1.0 / TURN, atol=0.05)
 
 
 @pytest.mark.parametrize("revolutions", [0.1, 3.0])

@@ -77,11 +77,11 @@ def dense_least_squares(make_runs, mounting, priors, columns, drift=None):
         scale = np.linalg.norm(powers, axis=0)
         inverse.append(np.linalg.inv((powers / scale).T @ (powers / scale))[0, 0] / scale[0] ** 2)
     sigma = np.sqrt(inverse)
-    asked = ["K_II", "K_F"]
-    design = np.column_stack([columns(symbol) for symbol in asked])
+    texts = ["K_II", "K_F"]
+    design = np.column_stack([columns(symbol) for symbol in texts])
     if drift is not None:
         design = np.column_stack([design, drift])
-    known = {s: p for s, p in priors.items() if s not in asked}
+    known = {s: p for s, p in priors.items() if s not in texts}
     effects, spread = [], []
     for symbol, (value, u) in known.items():
         nominal = 1.0 if symbol == "K_I" else 0.0
@@ -91,7 +91,7 @@ def dense_least_squares(make_runs, mounting, priors, columns, drift=None):
         spread += [u] * (len(make_runs) if per_run else 1)
     p = design.shape[1]
     means, weights = np.zeros(p), np.zeros(p)
-    for place, symbol in enumerate(asked):
+    for place, symbol in enumerate(texts):
         if symbol in priors:
             means[place], weights[place] = priors[symbol][0], 1.0 / priors[symbol][1]
     rows = np.vstack([design / sigma[:, None], np.diag(weights)])
@@ -129,9 +129,9 @@ def test_fit_matches_dense_weighted_least_squares(mounting, nominal):
         along["drift"] = expected[2]
         expected, parts = dense_least_squares(those, mounting, priors, columns, of_drift)
     request = TwoStageRequest(priors=priors, nominal_angle=nominal)
-    found = second_stage(those, mounting, request, ignored=())
-    assert found.symbols == ("K_II", "K_F", DRIFT)[: 2 + nominal]
-    solution = found.fit.solution
+    second_stage_result = second_stage(those, mounting, request, ignored=())
+    assert second_stage_result.symbols == ("K_II", "K_F", DRIFT)[: 2 + nominal]
+    solution = second_stage_result.fit.solution
     near = 1e-6 if nominal else 1e-9
     np.testing.assert_array_less(np.abs(solution.estimate - expected), near * solution.u)
     covariances = (
@@ -146,30 +146,34 @@ def test_fit_matches_dense_weighted_least_squares(mounting, nominal):
 @pytest.mark.parametrize("weighted", [True, False])
 def test_budget_sums_to_u_and_names_sources(weighted):
     priors = {**PRIORS, "K_III": (3e-6, 1e-6)}
-    found = second_stage(
+    second_stage_result = second_stage(
         make_runs(),
         QX,
         TwoStageRequest(priors=priors, weighted=weighted, u_radius=1e-4),
         ignored=(),
     )
     for place in range(2):
-        lines = budget(found.fit, place)
+        lines = budget(second_stage_result.fit, place)
         total = math.hypot(*(line.contribution for line in lines))
-        assert total == pytest.approx(found.fit.solution.u[place], rel=1e-9)
+        assert total == pytest.approx(second_stage_result.fit.solution.u[place], rel=1e-9)
         assert {line.kind for line in lines} == {"noise", "stated", "held"}
-    k_ii, _ = found.estimate("K_II")
-    radius = next(line for line in budget(found.fit, 0) if line.source == "centrifuge.radius")
+    k_ii, _ = second_stage_result.estimate("K_II")
+    radius = next(
+        line for line in budget(second_stage_result.fit, 0) if line.source == "centrifuge.radius"
+    )
     assert radius.contribution == pytest.approx(2e-4 * k_ii, rel=1e-4)
-    noise = next(line for line in budget(found.fit, 0) if line.kind == "noise")
-    sigma = [parabola.u_b2 for parabola in found.parabolas]
-    assert noise.contribution == pytest.approx(np.linalg.norm(found.gain[0] * sigma), rel=1e-9)
+    noise = next(line for line in budget(second_stage_result.fit, 0) if line.kind == "noise")
+    sigma = [parabola.u_b2 for parabola in second_stage_result.parabolas]
+    assert noise.contribution == pytest.approx(
+        np.linalg.norm(second_stage_result.gain[0] * sigma), rel=1e-9
+    )
 
 
 def test_printed_equations_include_uncertain_inputs():
     request = TwoStageRequest("as-printed", PRIORS, u_radius=1e-3, u_gravity=2e-3)
-    found = second_stage(make_runs(), QX, request)
-    k_ii, _ = found.estimate("K_II")
-    lines = {line.source: line.contribution for line in budget(found.fit, 0)}
+    second_stage_result = second_stage(make_runs(), QX, request)
+    k_ii, _ = second_stage_result.estimate("K_II")
+    lines = {line.source: line.contribution for line in budget(second_stage_result.fit, 0)}
     # b2 is K_II R^2 w^4/(2 g).
     assert lines["centrifuge.radius"] == pytest.approx(2e-3 * k_ii, rel=1e-9)
     assert lines["site.gravity"] == pytest.approx(2e-3 * k_ii, rel=1e-9)
@@ -204,7 +208,7 @@ def test_record_is_sampled_at_strobes():
 
 
 def test_unestimated_terms_are_considered_with_priors():
-    (one, _) = strobed_series()
+    (actual_strobed_series, _) = strobed_series()
     model = Unknowns(
         (
             Unknown("Qx", "K_II", (1e-5, 1e-6), 1e-4),
@@ -224,10 +228,10 @@ def test_unestimated_terms_are_considered_with_priors():
         ("", "site.gravity", (0.0, 1e-5)),
         ("", "platform.g_sensitivity.zx", (0.0, 1e-9)),
     ]
-    kept = considered_terms(model, ["K_II", "K_F"], [one])
+    kept = considered_terms(model, ["K_II", "K_F"], [actual_strobed_series])
     assert [(other.owner, other.symbol, other.prior) for other in kept] == expected
-    asked = TwoStageRequest(priors={"K_II": (1e-5, 1e-6)}, nominal_angle=True)
-    ours = two_stage_model(model, asked, [one])
+    two_stage_request = TwoStageRequest(priors={"K_II": (1e-5, 1e-6)}, nominal_angle=True)
+    ours = two_stage_model(model, two_stage_request, [actual_strobed_series])
     assert [(u.name, u.prior, u.limit) for u in ours.unknowns] == [
         ("Qx.K_II", (1e-5, 1e-6), 1e-4),
         ("Qx.K_F", NO_PRIOR, 0.1),
@@ -282,8 +286,8 @@ def compare_with_runs(second):
         for other in prior_alternatives(relaxed)
         if all(relaxed.model.unknowns[place].prior[1] > 0.0 for place in other.prior_shifts)
     ]
-    found = run_score_tests(relaxed, some, noise_given=True)
-    each = zip(found.value, found.u, found.z, strict=True)
+    score_tests = run_score_tests(relaxed, some, noise_given=True)
+    each = zip(score_tests.value, score_tests.u, score_tests.z, strict=True)
     return {other.name: line for other, line in zip(some, each, strict=True)}
 
 
@@ -312,18 +316,18 @@ def test_estimated_term_is_compared_with_fit_without_prior():
 
 
 def test_tilts_of_runs_are_compared_separately_and_jointly():
-    found = compare_with_runs(solve_second_stage(PRIORS))
-    assert {name for name in found if name.endswith(PSI)} == {
+    comparison = compare_with_runs(solve_second_stage(PRIORS))
+    assert {name for name in comparison if name.endswith(PSI)} == {
         PSI,
         *(f"{run.name}.{PSI}" for run in make_runs()),
     }
     # All tilts alike are a bias: g psi is K_F, and tells the same of the same mistake.
-    assert found[PSI][2] == pytest.approx(found["K_F"][2], rel=1e-6)
+    assert comparison[PSI][2] == pytest.approx(comparison["K_F"][2], rel=1e-6)
 
 
 def test_term_without_other_information_is_not_tested():
     # As many runs as unknowns, K_F's prior among what is needed.
     request = TwoStageRequest(priors={"K_F": (0.004, 2e-6)})
-    found = compare_with_runs(second_stage(make_runs()[:1], QX, request, ignored=()))
-    assert found["K_F"][2] == 0.0
-    assert math.isinf(found["K_F"][1])
+    comparison = compare_with_runs(second_stage(make_runs()[:1], QX, request, ignored=()))
+    assert comparison["K_F"][2] == 0.0
+    assert math.isinf(comparison["K_F"][1])

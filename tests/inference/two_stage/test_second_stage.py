@@ -118,39 +118,51 @@ def remembered_columns(monkeypatch):
 
 
 def test_exact_columns_match_closed_forms_at_constant_rate():
-    found = second_stage(ideal_plan(), nominal_angle=True, ignored=["K_III", "K_OO"])
-    assert found.symbols == ("K_II", "K_F", DRIFT)
-    np.testing.assert_allclose(design(found)[:, 0], R**2 * RATES**4 / (4 * G), rtol=1e-10)
-    np.testing.assert_allclose(design(found)[:, 1], G / 2, rtol=1e-12)
-    np.testing.assert_allclose(design(found)[:, 2], -K_I * R * RATES / 2, rtol=OF_DRIFT)
-    np.testing.assert_allclose(column(found, "K_OO"), R**2 * RATES**4 / (4 * G), rtol=1e-10)
-    assert np.abs(column(found, "K_III")).max() < 1e-9  # rounding of R^3 w^4/g^2 = 250 m/400 s^2
+    second_stage_result = second_stage(ideal_plan(), nominal_angle=True, ignored=["K_III", "K_OO"])
+    assert second_stage_result.symbols == ("K_II", "K_F", DRIFT)
+    np.testing.assert_allclose(
+        design(second_stage_result)[:, 0], R**2 * RATES**4 / (4 * G), rtol=1e-10
+    )
+    np.testing.assert_allclose(design(second_stage_result)[:, 1], G / 2, rtol=1e-12)
+    np.testing.assert_allclose(
+        design(second_stage_result)[:, 2], -K_I * R * RATES / 2, rtol=OF_DRIFT
+    )
+    np.testing.assert_allclose(
+        column(second_stage_result, "K_OO"), R**2 * RATES**4 / (4 * G), rtol=1e-10
+    )
+    assert (
+        np.abs(column(second_stage_result, "K_III")).max() < 1e-9
+    )  # rounding of R^3 w^4/g^2 = 250 m/400 s^2
 
 
 def test_printed_columns_match_eq_26():
     for ripple, power in (("amplitude", 1), ("ratio", 2)):
-        found = second_stage(ideal_plan(), model="as-printed", ripple=ripple)
-        assert found.symbols == ("K_II", RIPPLE)
-        np.testing.assert_allclose(design(found)[:, 0], R**2 * RATES**4 / (2 * G), rtol=1e-14)
-        np.testing.assert_allclose(design(found)[:, 1], -0.75 * K_I * R * RATES**power, rtol=1e-14)
+        second_stage_result = second_stage(ideal_plan(), model="as-printed", ripple=ripple)
+        assert second_stage_result.symbols == ("K_II", RIPPLE)
+        np.testing.assert_allclose(
+            design(second_stage_result)[:, 0], R**2 * RATES**4 / (2 * G), rtol=1e-14
+        )
+        np.testing.assert_allclose(
+            design(second_stage_result)[:, 1], -0.75 * K_I * R * RATES**power, rtol=1e-14
+        )
 
 
 def test_ripple_adds_parabola_of_k_iii():
     ratio = 1e-3
-    found = second_stage(plan(ratio=ratio), ignored=["K_III"])
+    second_stage_result = second_stage(plan(ratio=ratio), ignored=["K_III"])
     predicted = -0.75 * R**3 * RATES**6 * ratio * math.sin(PHASE) / G**2
-    np.testing.assert_allclose(column(found, "K_III"), predicted, rtol=5 * ratio)
+    np.testing.assert_allclose(column(second_stage_result, "K_III"), predicted, rtol=5 * ratio)
 
 
 def test_opposite_sense_reverses_odd_effects_only():
     runs = plan(np.array([2.0, -2.0, 4.0, -4.0]))
     sensitivity = "platform.g_sensitivity.zx"
-    found = second_stage(runs, nominal_angle=True, ignored=[sensitivity])
-    k_ii, k_f, drift = design(found).T
+    second_stage_result = second_stage(runs, nominal_angle=True, ignored=[sensitivity])
+    k_ii, k_f, drift = design(second_stage_result).T
     np.testing.assert_allclose(k_ii[::2], k_ii[1::2], rtol=1e-10)
     np.testing.assert_allclose(k_f[::2], k_f[1::2], rtol=1e-12)
     np.testing.assert_allclose(drift[::2], -drift[1::2], rtol=OF_DRIFT)
-    effect = column(found, sensitivity)
+    effect = column(second_stage_result, sensitivity)
     np.testing.assert_allclose(effect[::2], K_I * R**2 * np.array([8.0, 64.0]) / (4 * G), rtol=1e-8)
     np.testing.assert_allclose(effect[1::2], -effect[::2], rtol=1e-8)
 
@@ -191,11 +203,13 @@ def test_unweighted_fit_matches_eq_27_and_34():
     a = np.column_stack([R**2 * RATES**4 / (2 * G), -0.75 * K_I * R * RATES])
     inverse = np.linalg.inv(a.T @ a) @ a.T
     options = {"model": "as-printed", "weighted": False, "priors": {"K_F": (bias, 0.0)}}
-    found = second_stage(runs, **options)
+    second_stage_result = second_stage(runs, **options)
     expected = inverse @ (b2 - bias * G / 2)
-    np.testing.assert_allclose(found.fit.solution.estimate, expected, rtol=1e-7)
+    np.testing.assert_allclose(second_stage_result.fit.solution.estimate, expected, rtol=1e-7)
     covariance = inverse @ np.diag(sigma**2) @ inverse.T
-    np.testing.assert_allclose(found.fit.solution.covariance_noise, covariance, rtol=1e-7)
+    np.testing.assert_allclose(
+        second_stage_result.fit.solution.covariance_noise, covariance, rtol=1e-7
+    )
 
 
 def test_weighted_fit_with_priors_matches_generalised_least_squares():
@@ -203,27 +217,35 @@ def test_weighted_fit_with_priors_matches_generalised_least_squares():
     b2 = np.array([run.parabola.b2 for run in runs])
     sigma = np.array([run.parabola.u_b2 for run in runs])
     priors = {"K_F": (0.004 + 1e-8, 1e-8), "K_II": (2.01e-5, 4e-9)}
-    found = second_stage(runs, priors=priors)
-    rows = np.vstack([design(found) / sigma[:, None], np.diag([1 / 4e-9, 1 / 1e-8])])
+    second_stage_result = second_stage(runs, priors=priors)
+    rows = np.vstack([design(second_stage_result) / sigma[:, None], np.diag([1 / 4e-9, 1 / 1e-8])])
     right = np.concatenate([b2 / sigma, [2.01e-5 / 4e-9, (0.004 + 1e-8) / 1e-8]])
     scale = np.linalg.norm(rows, axis=0)
     covariance = np.linalg.inv((rows / scale).T @ (rows / scale)) / np.outer(scale, scale)
-    np.testing.assert_allclose(found.fit.solution.estimate, covariance @ rows.T @ right, rtol=1e-8)
-    np.testing.assert_allclose(found.fit.solution.covariance, covariance, rtol=1e-8)
-    np.testing.assert_allclose(found.gain, covariance @ rows.T[:, :3] / sigma, rtol=1e-8)
+    np.testing.assert_allclose(
+        second_stage_result.fit.solution.estimate, covariance @ rows.T @ right, rtol=1e-8
+    )
+    np.testing.assert_allclose(second_stage_result.fit.solution.covariance, covariance, rtol=1e-8)
+    np.testing.assert_allclose(
+        second_stage_result.gain, covariance @ rows.T[:, :3] / sigma, rtol=1e-8
+    )
     prior_part = covariance @ np.diag([1 / 4e-9, 1 / 1e-8]) ** 2 @ covariance
-    np.testing.assert_allclose(found.fit.solution.covariance_prior, prior_part, rtol=1e-7)
+    np.testing.assert_allclose(
+        second_stage_result.fit.solution.covariance_prior, prior_part, rtol=1e-7
+    )
 
 
 def test_exactly_known_unknown_is_fixed():
-    found = second_stage(ideal_plan(), priors={"K_II": (3e-5, 0.0)})
-    assert found.estimate("K_II") == (3e-5, 0.0)
-    np.testing.assert_array_equal(found.gain[0], 0.0)
+    second_stage_result = second_stage(ideal_plan(), priors={"K_II": (3e-5, 0.0)})
+    assert second_stage_result.estimate("K_II") == (3e-5, 0.0)
+    np.testing.assert_array_equal(second_stage_result.gain[0], 0.0)
     # K_F then takes what of 1e-5 of K_II lies along its column.
-    sigma = u_of_b2(found)
-    along = (design(found)[:, 1] / sigma) / np.sum((design(found)[:, 1] / sigma) ** 2)
-    expected = 0.004 - along @ (1e-5 * design(found)[:, 0] / sigma)
-    assert found.estimate("K_F")[0] == pytest.approx(expected, rel=1e-9)
+    sigma = u_of_b2(second_stage_result)
+    along = (design(second_stage_result)[:, 1] / sigma) / np.sum(
+        (design(second_stage_result)[:, 1] / sigma) ** 2
+    )
+    expected = 0.004 - along @ (1e-5 * design(second_stage_result)[:, 0] / sigma)
+    assert second_stage_result.estimate("K_F")[0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_drift_column_of_nominal_angle_estimates_drift():
@@ -238,13 +260,13 @@ def test_drift_column_of_nominal_angle_estimates_drift():
         error = error - observation.reference(nominal, QX, time)
         parabola = first_stage(Strobes(time, error, np.ones(100), lost=0), SIGMA)
         runs.append(StrobedRun(f"{w}", nominal, parabola))
-    found = second_stage(runs, nominal_angle=True)
+    second_stage_result = second_stage(runs, nominal_angle=True)
     # The nominal rotation knows nothing of K_II x C, a part 2 C T of K_II's own parabola: at the
     # fastest run 1e-8 beside the drift's 7.9e-8 m/s^2, and a hundredth of sigma(b2).
-    value, u = found.estimate(DRIFT)
+    value, u = second_stage_result.estimate(DRIFT)
     assert value == pytest.approx(drift, rel=0.05)
     assert abs(value - drift) < 0.01 * u
-    k_ii, u = found.estimate("K_II")
+    k_ii, u = second_stage_result.estimate("K_II")
     assert abs(k_ii - 2e-5) < 0.2 * u
     # Without the column the drift passes for K_II and K_F, with what was just said of it.
     without = second_stage(runs)
@@ -261,38 +283,41 @@ def test_considered_terms_are_subtracted_and_propagated():
     sensitivity = "platform.g_sensitivity.zx"
     runs = plan(truth=TRUTH, platform={"platform.tilt.north": 3e-6, sensitivity: 2e-9})
     known = {"platform.tilt.north": (3e-6, 5e-7), sensitivity: (2e-9, 1e-9)}
-    found = second_stage(runs, priors=known)
+    second_stage_result = second_stage(runs, priors=known)
     # What is left is of second order in the tilt: the turned input axis sees less of the force.
-    assert found.estimate("K_II")[0] == pytest.approx(2e-5, abs=1e-10)
-    tilt = -K_I * G / 2 * found.gain[0] * 5e-7  # each run has a tilt of its own
-    together = float(found.gain[0] @ (K_I * R**2 * RATES**3 / (4 * G))) * 1e-9
+    assert second_stage_result.estimate("K_II")[0] == pytest.approx(2e-5, abs=1e-10)
+    tilt = -K_I * G / 2 * second_stage_result.gain[0] * 5e-7  # each run has a tilt of its own
+    together = float(second_stage_result.gain[0] @ (K_I * R**2 * RATES**3 / (4 * G))) * 1e-9
     expected = math.hypot(*tilt, together)
-    assert math.sqrt(found.fit.solution.covariance_considered[0, 0]) == pytest.approx(
+    assert math.sqrt(second_stage_result.fit.solution.covariance_considered[0, 0]) == pytest.approx(
         expected, rel=1e-6
     )
-    held = [(other.owner, other.symbol) for other in found.fit.model.considered]
+    held = [(other.owner, other.symbol) for other in second_stage_result.fit.model.considered]
     assert ("3.142", "platform.tilt.north") in held
     assert ("", sensitivity) in held
 
 
 def test_shift_of_ignored_term_matches_simulation():
     sensitivity, tilt = "platform.g_sensitivity.zx", "platform.tilt.north"
-    found = second_stage(ideal_plan(), ignored=[sensitivity, tilt, "K_II"])
-    assert {c.symbol for c in found.fit.model.considered} == {"K_F", "K_I", sensitivity, tilt} - {
-        "K_F"
-    }
+    second_stage_result = second_stage(ideal_plan(), ignored=[sensitivity, tilt, "K_II"])
+    assert {c.symbol for c in second_stage_result.fit.model.considered} == {
+        "K_F",
+        "K_I",
+        sensitivity,
+        tilt,
+    } - {"K_F"}
     moved = second_stage(plan(truth=TRUTH, platform={sensitivity: 1e-9}))
-    change = moved.fit.solution.estimate - found.fit.solution.estimate
-    np.testing.assert_allclose(found.shift(sensitivity) * 1e-9, change, rtol=1e-3)
+    change = moved.fit.solution.estimate - second_stage_result.fit.solution.estimate
+    np.testing.assert_allclose(second_stage_result.shift(sensitivity) * 1e-9, change, rtol=1e-3)
     # A tilt is another in each run; their effects add as independent ones.
-    per_run = np.linalg.norm(found.gain * (-K_I * G / 2), axis=1)
-    np.testing.assert_allclose(found.shift(tilt), per_run, rtol=1e-9)
+    per_run = np.linalg.norm(second_stage_result.gain * (-K_I * G / 2), axis=1)
+    np.testing.assert_allclose(second_stage_result.shift(tilt), per_run, rtol=1e-9)
 
 
 def test_effective_degrees_of_freedom_follow_welch_satterthwaite():
     runs = add_noise(ideal_plan(), np.random.default_rng(3), sigma=None)
-    found = second_stage(runs)
-    for row, dof in zip(found.gain, found.dof, strict=True):
+    second_stage_result = second_stage(runs)
+    for row, dof in zip(second_stage_result.gain, second_stage_result.dof, strict=True):
         parts = [(g * run.parabola.u_b2) ** 2 for g, run in zip(row, runs, strict=True)]
         assert dof == pytest.approx(sum(parts) ** 2 / sum(p**2 / 97 for p in parts), rel=1e-9)
     assert np.isinf(second_stage(ideal_plan()).dof).all()
@@ -304,7 +329,7 @@ def test_effective_degrees_of_freedom_follow_welch_satterthwaite():
     index, solution = 1, unsure.fit.solution
     noise = solution.covariance_noise[index, index]
     ratio = (solution.covariance[index, index] / noise) ** 2
-    assert unsure.dof[index] == pytest.approx(found.dof[index] * ratio, rel=1e-9)
+    assert unsure.dof[index] == pytest.approx(second_stage_result.dof[index] * ratio, rel=1e-9)
 
 
 def test_misfit_is_in_standard_uncertainties_of_each_run():
@@ -313,9 +338,11 @@ def test_misfit_is_in_standard_uncertainties_of_each_run():
     off = runs[2].parabola
     off = replace(off, coefficients=off.coefficients + np.array([0, 0, 10 * off.u_b2]))
     runs[2] = replace(runs[2], parabola=off)
-    found = second_stage(runs)
-    assert int(np.argmax(np.abs(found.misfit))) == 2
-    assert np.sum(found.misfit**2) == pytest.approx(found.fit.solution.chi2, rel=1e-9)
+    second_stage_result = second_stage(runs)
+    assert int(np.argmax(np.abs(second_stage_result.misfit))) == 2
+    assert np.sum(second_stage_result.misfit**2) == pytest.approx(
+        second_stage_result.fit.solution.chi2, rel=1e-9
+    )
 
 
 # --- what cannot be told apart --------------------------------------------------------------------
@@ -328,16 +355,16 @@ def test_fewer_rates_than_unknowns_raise():
         second_stage(plan([2.0, 4.0]), nominal_angle=True)
     with pytest.raises(NotIdentifiableError, match=r"2 unknowns .*K_II, spindle.ripple"):
         second_stage(plan([2.0]), model="as-printed")
-    one = second_stage(plan([2.0], truth=TRUTH), priors={"K_F": (0.004, 1e-9)})
-    assert one.estimate("K_II")[0] == pytest.approx(2e-5, rel=1e-6)
+    second_stage_result = second_stage(plan([2.0], truth=TRUTH), priors={"K_F": (0.004, 1e-9)})
+    assert second_stage_result.estimate("K_II")[0] == pytest.approx(2e-5, rel=1e-6)
 
 
 def test_two_senses_of_same_rate_separate_only_odd_from_even():
     both = plan([2.0, -2.0])
     with pytest.raises(NotIdentifiableError, match=r"\(K_II, K_F\) .* in either sense"):
         second_stage(both)
-    found = second_stage(both, nominal_angle=True, fit_bias=False)
-    assert found.symbols == ("K_II", DRIFT)
+    second_stage_result = second_stage(both, nominal_angle=True, fit_bias=False)
+    assert second_stage_result.symbols == ("K_II", DRIFT)
     second_stage(both, model="as-printed")
     with pytest.raises(NotIdentifiableError, match="in either sense"):
         second_stage(both, model="as-printed", ripple="ratio")
@@ -345,10 +372,10 @@ def test_two_senses_of_same_rate_separate_only_odd_from_even():
 
 def test_near_collinear_columns_are_named():
     assert second_stage(plan()).near_collinear == ()
-    found = second_stage(plan([3.0, 3.1]))
-    ((a, b, cosine),) = found.near_collinear
+    second_stage_result = second_stage(plan([3.0, 3.1]))
+    ((a, b, cosine),) = second_stage_result.near_collinear
     assert (a, b) == ("K_II", "K_F")
-    whitened = design(found) / u_of_b2(found)[:, None]
+    whitened = design(second_stage_result) / u_of_b2(second_stage_result)[:, None]
     x, y = whitened.T
     assert cosine == pytest.approx(x @ y / math.sqrt((x @ x) * (y @ y)), rel=1e-12)
     assert cosine > 0.99
@@ -401,9 +428,9 @@ EVERYTHING = [*TERMS, *PLATFORM_TERMS]
 )
 def test_equivalent_terms_are_found(mounting, attitude, k_ii, k_f):
     runs = plan(mounting=mounting, attitude=attitude, site=EARTH, drift=1e-7, ratio=1e-5)
-    found = second_stage(runs, mounting, ignored=EVERYTHING)
-    assert found.alike("K_II", EVERYTHING) == pytest.approx(k_ii, rel=1e-5)
-    bias = found.alike("K_F", EVERYTHING)
+    second_stage_result = second_stage(runs, mounting, ignored=EVERYTHING)
+    assert second_stage_result.alike("K_II", EVERYTHING) == pytest.approx(k_ii, rel=1e-5)
+    bias = second_stage_result.alike("K_F", EVERYTHING)
     # The sign of a_I has a mean by the Earth's rate alone, about (2 Omega/w)/pi of its half, and an
     # axis that leans with the arm one of that order.
     for term in ("K_0_asym", "table.axis_tilt.outward", "table.axis_tilt.forward"):
@@ -413,9 +440,9 @@ def test_equivalent_terms_are_found(mounting, attitude, k_ii, k_f):
 
 def test_attitudes_separate_equivalent_terms():
     runs = plan(site=EARTH) + plan(site=EARTH, attitude=TURNED)
-    found = second_stage(runs, ignored=EVERYTHING)
-    assert found.alike("K_II", EVERYTHING) == {}
-    assert list(found.alike("K_F", EVERYTHING)) == ["platform.tilt.north"]
+    second_stage_result = second_stage(runs, ignored=EVERYTHING)
+    assert second_stage_result.alike("K_II", EVERYTHING) == {}
+    assert list(second_stage_result.alike("K_F", EVERYTHING)) == ["platform.tilt.north"]
 
 
 # --- trials ---------------------------------------------------------------------------------------
@@ -432,10 +459,10 @@ def simulate_trials(
         bias = {"K_F": (0.004 + bias_sd * rng.standard_normal(), bias_sd)}
         known = (priors or {}) | (bias if math.isfinite(bias_sd) else {})
         noisy = add_noise(runs, rng, sigma)
-        found = second_stage(noisy, priors=known, **(options or {}))
-        value, claims[k] = found.estimate("K_II")
+        second_stage_result = second_stage(noisy, priors=known, **(options or {}))
+        value, claims[k] = second_stage_result.estimate("K_II")
         errors[k] = value - TRUTH["K_II"]
-        covered += abs(errors[k]) < stdtrit(found.dof[0], 0.975) * claims[k]
+        covered += abs(errors[k]) < stdtrit(second_stage_result.dof[0], 0.975) * claims[k]
     return errors, claims, covered / count
 
 
@@ -478,13 +505,13 @@ def test_printed_estimate_is_half_of_truth_without_coverage():
 def test_ripple_times_k_iii_biases_k_ii_as_predicted():
     biases = []
     for ratio in (5e-7, 1e-5, 1e-3):
-        found = second_stage(plan(ratio=ratio, truth=TRUTH))
+        second_stage_result = second_stage(plan(ratio=ratio, truth=TRUTH))
         curvature = -0.75 * TRUTH["K_III"] * R**3 * RATES**6 * ratio * math.sin(PHASE) / G**2
-        predicted = float(found.gain[0] @ curvature)
-        value, u = found.estimate("K_II")
+        predicted = float(second_stage_result.gain[0] @ curvature)
+        value, u = second_stage_result.estimate("K_II")
         # Beside it stand second orders of the ripple and rounding of 0.02 m/s^2.
         assert value - 2e-5 == pytest.approx(predicted, rel=0.01, abs=1e-13)
-        assert float(found.shift("K_III")[0]) * TRUTH["K_III"] == pytest.approx(
+        assert float(second_stage_result.shift("K_III")[0]) * TRUTH["K_III"] == pytest.approx(
             predicted, rel=0.01, abs=1e-13
         )
         biases.append(abs(predicted) / u)

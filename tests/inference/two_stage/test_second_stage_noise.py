@@ -119,6 +119,8 @@ def test_exactly_known_unknown_is_fixed():
 def test_stated_noise_is_not_replaced():
     request = TwoStageRequest(sigma=0.02, random_walk=0.0)
     assert request.with_noise(estimated_noise(0.01, 1e-3).noise) is request
-    asked = TwoStageRequest(random_walk=None, from_residuals=True)
-    assert asked.with_noise(estimated_noise(0.01, 1e-3).noise).sigma is None
-    assert asked.with_noise(estimated_noise(0.01, 1e-3).noise).random_walk == pytest.approx(1e-3)
+    two_stage_request = TwoStageRequest(random_walk=None, from_residuals=True)
+    assert two_stage_request.with_noise(estimated_noise(0.01, 1e-3).noise).sigma is None
+    assert two_stage_request.with_noise(
+        estimated_noise(0.01, 1e-3).noise
+    ).random_walk == pytest.approx(1e-3)
