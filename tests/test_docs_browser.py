@@ -55,14 +55,14 @@ def test_pictures_have_alternative_text(trees):
 
 @needs_chromium
 def test_site_sends_no_external_request_and_fits_phone():
-    asked, wrong, wide = [], [], []
+    requests, wrong, wide = [], [], []
     with launch_chromium() as browser:
         context = open_context(browser, viewport=PHONE, color_scheme="dark")
 
         def decide(route):
             inside = route.request.url.startswith((SITE.as_uri(), "data:"))
             if not inside:
-                asked.append(route.request.url)
+                requests.append(route.request.url)
             (route.continue_ if inside else route.abort)()
 
         context.route("**/*", decide)
@@ -75,6 +75,6 @@ def test_site_sends_no_external_request_and_fits_phone():
         tab.goto((SITE / "search.html").as_uri() + "?q=two-stage")
         tab.locator("#search-results li a").first.wait_for()
         context.close()
-    assert asked == []
+    assert requests == []
     assert wrong == []
     assert wide == []

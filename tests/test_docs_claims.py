@@ -475,9 +475,9 @@ def test_false_alarm_rates_do_not_exceed_stated_rates():
         "a cause": sum(map(parse_number, causes)),
     }
     for row in load_results("docs/false_alarms.json"):
-        for what, share in shares.items():
-            low, _ = bounds(row["counts"][what], row["trials"])
-            assert 100 * low <= float(share), (what, row["words"])
+        for label, share in shares.items():
+            low, _ = bounds(row["counts"][label], row["trials"])
+            assert 100 * low <= float(share), (label, row["words"])
 
 
 @pytest.fixture(scope="module")

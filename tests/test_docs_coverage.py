@@ -49,8 +49,8 @@ def test_intervals_have_coverage(row):
 
 def test_normal_equivalent_has_same_probability():
     # Student's distribution with 2 degrees of freedom: 97.5 % at 4.302653.
-    found = STUDY["normal_equivalent"](np.array([4.302653, -4.302653, 1.5]), np.array([2, 2, 1e9]))
-    np.testing.assert_allclose(found, [1.959964, -1.959964, 1.5], rtol=1e-6)
+    z = STUDY["normal_equivalent"](np.array([4.302653, -4.302653, 1.5]), np.array([2, 2, 1e9]))
+    np.testing.assert_allclose(z, [1.959964, -1.959964, 1.5], rtol=1e-6)
 
 
 def test_trials_and_values_are_counted():

@@ -30,8 +30,8 @@ PAGE = (Path(__file__).parents[1] / "docs" / "physics.md").read_text(encoding="u
 
 def rows_between(marker):
     """Return the body rows of the table between two comments, cell by cell."""
-    _, begun, rest = PAGE.partition(f"<!-- {marker} -->\n")
-    table, ended, _ = rest.partition(f"<!-- /{marker} -->")
+    _, begun, following_text = PAGE.partition(f"<!-- {marker} -->\n")
+    table, ended, _ = following_text.partition(f"<!-- /{marker} -->")
     assert begun
     assert ended
     return [
@@ -108,14 +108,14 @@ def test_typical_sizes_have_source():
 
 def test_sizes_from_paper_are_fractions_of_table_1():
     parts = {"half": 2, "a third": 3, "a quarter": 4}
-    found = {}
+    fractions = {}
     for names, _, _, size, source in rows_between("grades"):
         if match := re.match(r"([a-z ]+) of .*Table 1 \(([\d.e-]+) g\S+\)", source):
             symbol = re.search(r"K_(?:III|II|IP)\b", names)[0]
             assert float(match[2]) == TABLE_1[symbol]
             assert float(size) == pytest.approx(TABLE_1[symbol] / parts[match[1]])
-            found[symbol] = match[1]
-    assert set(found) == {"K_II", "K_III", "K_IP"}
+            fractions[symbol] = match[1]
+    assert set(fractions) == {"K_II", "K_III", "K_IP"}
 
 
 def test_navigation_grade_bias_and_drift_match_position_error():

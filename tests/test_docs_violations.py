@@ -21,8 +21,8 @@ def test_page_shows_stored_results():
 
 
 def test_table_contains_all_violations_and_observables():
-    found = {(row.name, row.size, row.observable) for row in TABLE.load()}
-    assert found == {
+    table_keys = {(row.name, row.size, row.observable) for row in TABLE.load()}
+    assert table_keys == {
         (violation.name, violation.size, observable)
         for violation in VIOLATIONS
         for observable in UNITS
@@ -55,8 +55,8 @@ def test_largest_shift_matches_theory():
 @cache
 def calibrate_without_violation(observable):
     stated = STUDY["description"](observable, SMALL)
-    (found,) = STUDY["calibrated"](stated, stated)
-    return found
+    (outcome,) = STUDY["calibrated"](stated, stated)
+    return outcome
 
 
 @pytest.mark.parametrize(
@@ -73,9 +73,9 @@ def calibrate_without_violation(observable):
 def test_no_violation_is_silent(observable, violation):
     """Assume nothing; the table has the results with all terms assumed."""
     stated, world = violation.of(STUDY["description"](observable, SMALL))
-    (found,) = STUDY["calibrated"](world, stated)
-    shifts = STUDY["shifts_of"](violation, calibrate_without_violation(observable), found)
-    assert not STUDY["is_silent"](shifts, found.findings), f"{shifts}, in u"
+    (outcome,) = STUDY["calibrated"](world, stated)
+    shifts = STUDY["shifts_of"](violation, calibrate_without_violation(observable), outcome)
+    assert not STUDY["is_silent"](shifts, outcome.findings), f"{shifts}, in u"
 
 
 def test_row_has_shifts_with_and_without_assumptions():

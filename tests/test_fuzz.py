@@ -42,12 +42,12 @@ def memory_counts_from_now(monkeypatch):
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """Return a function that returns a format and its cached folder."""
-    place, made = tmp_path_factory.mktemp("bench"), {}
+    place, programs = tmp_path_factory.mktemp("bench"), {}
 
     def get(name):
-        if name not in made:
-            made.update(formats(place, [name]))
-        return made[name], place / name / f"case{made[name].suffix}"
+        if name not in programs:
+            programs.update(formats(place, [name]))
+        return programs[name], place / name / f"case{programs[name].suffix}"
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COUNTERSPIN_DEBUG", "1")
@@ -131,9 +131,9 @@ def test_judge_detects_failures(tmp_path, monkeypatch, use, words):
     monkeypatch.setattr("fuzz.hunt.SECONDS", 0.1)
     path = tmp_path / "case.x"
     path.write_bytes(b"")
-    verdict, said = judge(Format(".x", lambda rng: b"", use), path)
+    verdict, detail = judge(Format(".x", lambda rng: b"", use), path)
     assert verdict == ("found" if words else "accepted")
-    assert words in said
+    assert words in detail
 
 
 def touch_outside(desk):
@@ -161,9 +161,9 @@ def test_wrong_answer_is_detected(bench, monkeypatch, respond, words):
     form, path = bench("requests")
     monkeypatch.setitem(ENDPOINTS, ("GET", "folder"), respond)
     path.write_text(json.dumps([request_of("GET", "/api/folder", {})]))
-    verdict, said = judge(form, path)
+    verdict, detail = judge(form, path)
     assert verdict == ("found" if words else "refused")
-    assert words in said
+    assert words in detail
 
 
 def test_every_endpoint_is_fuzzed(bench):
@@ -222,11 +222,11 @@ needs_tracing = pytest.mark.skipif(not possible(), reason="processes cannot be t
 
 @needs_tracing
 def test_killed_command_leaves_no_partial_file():
-    told = []
-    done, faults = kill_all(2, ["plan-begin"], told.append)
+    messages = []
+    done, faults = kill_all(2, ["plan-begin"], messages.append)
     assert faults == []
     assert done == 2
-    assert [words.split()[0] for words in told] == ["plan-begin:", "plan-begin"]
+    assert [words.split()[0] for words in messages] == ["plan-begin:", "plan-begin"]
 
 
 #: Writes its output in place, and spoils its input.
@@ -257,12 +257,12 @@ def test_lost_file_is_detected(tmp_path, monkeypatch):
 def test_page_states_fuzzing_limits():
     (seconds,) = find_numbers("harmful-files", "more than {} s of CPU time or")
     (gigabytes,) = find_numbers("harmful-files", "of CPU time or {} GB of memory")
-    new, asked = find_numbers(
+    new, n_requests = find_numbers(
         "harmful-files",
         "reads all of these and {} new cases, and sends {} cases to the application",
     )
     (commands,) = find_numbers("harmful-files", "{} commands were killed")
-    assert [parse_number(number) for number in (seconds, gigabytes, new, asked, commands)] == [
+    assert [parse_number(number) for number in (seconds, gigabytes, new, n_requests, commands)] == [
         SECONDS,
         BYTES / 1e9,
         DOCUMENTS + RECORDS,

@@ -40,7 +40,7 @@ def nodes_of(source):
 def offences(look, among=SOURCES):
     """Return the non-empty results of `look(name, source)` by name."""
     findings = {name: look(name, source) for name, source in among.items()}
-    return {name: what for name, what in findings.items() if what}
+    return {name: finding for name, finding in findings.items() if finding}
 
 
 # Modules
@@ -125,15 +125,15 @@ MANY_PARAMETERS = {
 
 
 def functions_with_many_parameters(source):
-    found = []
+    functions = []
     for node in nodes_of(source):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             given = node.args
             named = [*given.posonlyargs, *given.args, *given.kwonlyargs]
             own = bool(named) and named[0].arg in ("self", "cls")
             if len(named) - own + (given.vararg is not None) > 7:
-                found.append(node.name)
-    return found
+                functions.append(node.name)
+    return functions
 
 
 def test_many_parameters_are_detected():
@@ -173,14 +173,14 @@ def test_package_docstrings_list_modules():
 
 def imports_of(name, source, among):
     """Return the modules of `among` that a module imports, including deferred imports."""
-    found = set()
+    modules = set()
     for node in nodes_of(source):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
             inside = {f"{node.module}.{alias.name}" for alias in node.names} & among
-            found |= inside or {node.module}
-    return (found & among) - {name}
+            modules |= inside or {node.module}
+    return (modules & among) - {name}
 
 
 def test_imports_have_no_cycle():
@@ -555,12 +555,12 @@ def test_pins_have_hashes_and_no_url(pins):
 )
 def test_pins_satisfy_requirements(extra, pins):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    asked = [*project["dependencies"], *project["optional-dependencies"][extra]]
+    requirements = [*project["dependencies"], *project["optional-dependencies"][extra]]
     text = (ROOT / "requirements" / pins).read_text(encoding="utf-8")
     pinned = {}
     for name, version in re.findall(r"^([a-z0-9.-]+)==([^ ;]+)", text, re.MULTILINE):
         pinned.setdefault(name, []).append(version)
-    for requirement in map(Requirement, asked):
+    for requirement in map(Requirement, requirements):
         versions = pinned.get(requirement.name.lower(), [])
         assert versions, f"{requirement.name} has no pin: run make lock"
         assert all(requirement.specifier.contains(version) for version in versions)

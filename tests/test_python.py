@@ -85,13 +85,13 @@ def test_public_objects_have_docstrings(name):
 
 def examples():
     """Return the examples of each docstring as a doctest."""
-    found = {}
+    examples_by_page = {}
     for file in PACKAGE.rglob("*.py"):
         if "\n    >>> " in file.read_text(encoding="utf-8"):
             name = ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts)
             for example in doctest.DocTestFinder().find(import_module(name), globs={}):
-                found |= {example.name: example} if example.examples else {}
-    return found
+                examples_by_page |= {example.name: example} if example.examples else {}
+    return examples_by_page
 
 
 @pytest.mark.parametrize("example", examples().values(), ids=examples())

@@ -90,17 +90,17 @@ def test_session_key_is_not_set_as_cookie(anonymous, credentials):
 
 
 def test_link_is_valid_once_and_next_link_is_printed(anonymous, credentials):
-    told = []
-    credentials.on_token_used = told.append
+    printed_lines = []
+    credentials.on_token_used = printed_lines.append
     first = {"token": read_token(credentials)}
     assert anonymous.post("/api/session", json=first).status_code == 200
     assert anonymous.post("/api/session", json=first).status_code == 403
-    assert told == [credentials.link]
+    assert printed_lines == [credentials.link]
     assert (
         anonymous.post("/api/session", json={"token": read_token(credentials)}).status_code == 200
     )
-    assert told[1] == credentials.link
-    assert len({*told, f"http://127.0.0.1:8765/#token={first['token']}"}) == 3
+    assert printed_lines[1] == credentials.link
+    assert len({*printed_lines, f"http://127.0.0.1:8765/#token={first['token']}"}) == 3
 
 
 def test_servers_do_not_share_credentials():
@@ -108,15 +108,15 @@ def test_servers_do_not_share_credentials():
     # Browsers do not send fragments.
     assert first.link.startswith("http://127.0.0.1:1/#token=")
     tokens = read_token(first), read_token(second)
-    found = {
+    all_tokens = {
         *tokens,
         *(
             credentials.exchange_token(t)
             for credentials, t in zip((first, second), tokens, strict=True)
         ),
     }
-    assert len(found) == 4
-    assert min(map(len, found)) >= 32
+    assert len(all_tokens) == 4
+    assert min(map(len, all_tokens)) >= 32
 
 
 def _request_ticket(page, **said):

@@ -46,7 +46,7 @@ RESULT = "three/result.json"
 
 
 @pytest.mark.parametrize(
-    ("method", "name", "said"),
+    ("method", "name", "message"),
     [
         ("GET", "folder", {}),
         ("GET", "campaign", {"name": "three"}),
@@ -63,9 +63,9 @@ RESULT = "three/result.json"
         ("POST", "put-away", {"name": "three"}),
     ],
 )
-def test_response_matches_type_of_endpoint(page, method, name, said):
+def test_response_matches_type_of_endpoint(page, method, name, message):
     kind = "params" if method == "GET" else "json"
-    answer = page.request(method, f"/api/{name}", **{kind: said})
+    answer = page.request(method, f"/api/{name}", **{kind: message})
     assert answer.status_code == 200
     assert matches_type(answer.json(), typing.get_type_hints(ENDPOINTS[method, name])["return"])
 

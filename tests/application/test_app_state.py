@@ -78,8 +78,8 @@ def test_rejects_writing_through_symlink(page, folder, outside_folder):
         "drafted": files,
         "planned": {"name": "PLAN.toml", "folder": "new"},
     }
-    for name, said in request.items():
-        response = page.post(f"/api/{name}", json=said)
+    for name, body in request.items():
+        response = page.post(f"/api/{name}", json=body)
         assert response.json()["error"].startswith("new/campaign.toml ")
         assert (response.status_code, response.json()["code"]) == (
             403,

@@ -101,8 +101,8 @@ def test_axe_reports_no_serious_violation(open_window, app, width, monkeypatch):
         tab.evaluate(OPENED)
         for scheme, rules in SCHEMES[width].items():
             tab.emulate_media(color_scheme=scheme)
-            if found := tab.evaluate(SERIOUS, rules):
-                complaints[state, scheme] = found
+            if violations := tab.evaluate(SERIOUS, rules):
+                complaints[state, scheme] = violations
     assert complaints == {}
     # Both kinds of violations are detected.
     tab.evaluate("document.querySelector('main').append(document.createElement('button'))")

@@ -169,21 +169,21 @@ class UserEffort:
             seen, closed = element.inner_text(), element.evaluate(CLOSED)
             self.words += len(re.findall(r"\w+", seen)) - len(re.findall(r"\w+", closed))
 
-    def click(self, found):
-        found.click()
+    def click(self, locator):
+        locator.click()
         self.clicks += 1
 
-    def choose_files(self, found, files):
-        found.set_input_files(files)
+    def choose_files(self, locator, files):
+        locator.set_input_files(files)
         self.clicks += 2  # the button, and Open in the system dialogue
 
-    def fill(self, found, text):
+    def fill(self, locator, text):
         """Type into a field or select an option; the user moves between fields with the tab key."""
         self.fields += 1
-        if found.evaluate("field => field.tagName") == "SELECT":
-            found.select_option(text)
+        if locator.evaluate("field => field.tagName") == "SELECT":
+            locator.select_option(text)
         else:
-            found.fill(text)
+            locator.fill(text)
             self.letters += len(text)
 
     @property
@@ -238,8 +238,8 @@ def test_files_to_certificate_within_effort_limits(open_window, frames, folder, 
     certificate = tab.locator(".head").get_by_role("link", name="Certify", exact=True)
     certificate.wait_for()
     hand.read(*tab.locator(".instrument, .warning").all())
-    (made,) = {file.parent for file in folder.glob("*/result.json")} - {folder / "three"}
-    (accelerometer,) = read_result(made / "result.json").accelerometers.values()
+    (campaign_folder,) = {file.parent for file in folder.glob("*/result.json")} - {folder / "three"}
+    (accelerometer,) = read_result(campaign_folder / "result.json").accelerometers.values()
     k_ii = accelerometer.coefficients["K_II"]
     assert abs(k_ii.value - 2.7e-5) < 4.0 * k_ii.u
     clicks, fields = hand.clicks + CERTIFICATE_CLICKS, hand.fields + CERTIFICATE_FIELDS
@@ -256,7 +256,9 @@ def test_files_to_certificate_within_effort_limits(open_window, frames, folder, 
     hand.click(tab.get_by_role("button", name="Sign and issue"))
     tab.get_by_role("heading", name=re.compile("^Certificate .* signed and issued")).wait_for()
     for name in ("certificate.xml", "certificate.pdf"):
-        assert check_certificate(made / name, signer_certificate=cert).signature == "valid"
+        assert (
+            check_certificate(campaign_folder / name, signer_certificate=cert).signature == "valid"
+        )
     assert (hand.clicks, hand.fields) == (clicks, fields)
     assert office.fields == (len(LABORATORY) if write is FIRST else 0)
     assert hand.seconds + office.seconds <= MOST_SECONDS

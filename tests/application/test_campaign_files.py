@@ -120,7 +120,7 @@ def test_trash_entry_with_path_in_name_is_rejected(app, folder):
 
 @pytest.mark.parametrize("how", [copy_campaign, rename_campaign])
 @pytest.mark.parametrize(
-    ("to", "told"),
+    ("to", "message"),
     [
         ("three", "three already exists; choose another name"),
         ("", "this folder already exists"),
@@ -129,9 +129,9 @@ def test_trash_entry_with_path_in_name_is_rejected(app, folder):
         (".hidden", "is not a valid file name in this folder"),
     ],
 )
-def test_copy_and_rename_reject_invalid_destination(app, folder, how, to, told):
+def test_copy_and_rename_reject_invalid_destination(app, folder, how, to, message):
     before = sorted(folder.rglob("*"))
-    with pytest.raises(CounterspinError, match=told):
+    with pytest.raises(CounterspinError, match=message):
         how(app, "three", to)
     assert sorted(folder.rglob("*")) == before
 
@@ -161,8 +161,8 @@ def test_rename_rejects_move_that_breaks_relative_paths(app, folder):
 def test_rename_is_rejected_while_job_runs(app, folder, page):
     with app.jobs._run_lock:
         assert page.post("/api/jobs", json={"name": "three"}).status_code == 200
-        for name, said in (("rename", {"to": "third"}), ("put-away", {})):
-            response = page.post(f"/api/{name}", json={"name": "three"} | said)
+        for name, body in (("rename", {"to": "third"}), ("put-away", {})):
+            response = page.post(f"/api/{name}", json={"name": "three"} | body)
             assert response.status_code == 422
             assert response.json()["code"] == "request-refused"
         app.jobs.stop(app.jobs.all()[-1].number)

@@ -14,8 +14,8 @@ from triads import compute_indications, draw_directions, write_pose_campaign
 
 
 def campaign_state(page, name="three"):
-    (found,) = (c for c in page.get("/api/folder").json()["campaigns"] if c["name"] == name)
-    return found["state"]
+    (campaign,) = (c for c in page.get("/api/folder").json()["campaigns"] if c["name"] == name)
+    return campaign["state"]
 
 
 def test_campaign_is_listed_with_its_result(page):
@@ -116,7 +116,7 @@ def test_record_outside_folder_is_not_read(page, folder, record):
 
 
 @pytest.mark.parametrize(
-    ("method", "path", "said", "status"),
+    ("method", "path", "message", "status"),
     [
         ("GET", "/api/nothing", None, 404),
         ("GET", "/api/campaign?name=nowhere", None, 404),
@@ -134,8 +134,8 @@ def test_record_outside_folder_is_not_read(page, folder, record):
         ("GET", "/assets/server.py", None, 404),
     ],
 )
-def test_invalid_request_returns_error_without_traceback(page, method, path, said, status):
-    answered = page.request(method, path, content=said)
+def test_invalid_request_returns_error_without_traceback(page, method, path, message, status):
+    answered = page.request(method, path, content=message)
     assert answered.status_code == status
     assert "Traceback" not in answered.text
 
@@ -152,6 +152,6 @@ def test_pipe_and_undecodable_file_name_are_skipped(page, folder):
         file.write("{}")
     assert campaign_state(page) in ("good", "reservations")
     # A name that no file can have is rejected with a message.
-    for asked in ({"name": "\ud800"}, {"name": "a/" * 2000}):
-        response = page.post("/api/campaign", content=json.dumps(asked))
+    for request in ({"name": "\ud800"}, {"name": "a/" * 2000}):
+        response = page.post("/api/campaign", content=json.dumps(request))
         assert response.status_code == 403, response.text

@@ -211,8 +211,8 @@ def test_plots_are_drawn_while_signer_command_runs(with_real_lab, app, tmp_path)
         return signer.sign(data)
 
     app.signer = replace(signer, sign=sign)
-    said = SAID | {"signing": {}, "both": True}
-    assert with_real_lab.post("/api/certificate", json=said).status_code == 200
+    request = SAID | {"signing": {}, "both": True}
+    assert with_real_lab.post("/api/certificate", json=request).status_code == 200
     assert held == [False, False]  # for the XML and for the pages
     assert not app.drawing.locked()
 

@@ -32,10 +32,10 @@ def uploaded(page, folder):
     responses = [
         upload(page, f"new/{run}.csv", c).json() for run, c in zip(RUNS, contents, strict=True)
     ]
-    assert [one["bytes"] for one in responses] == list(map(len, contents))
+    assert [response["bytes"] for response in responses] == list(map(len, contents))
     for run, content in zip(RUNS, contents, strict=True):
         assert (folder / "new" / f"{run}.csv").read_bytes() == content
-    return [one["name"] for one in responses]
+    return [response["name"] for response in responses]
 
 
 def test_uploaded_files_become_campaign(page, folder, uploaded):
@@ -65,7 +65,7 @@ def calibrate_from_page(page, folder, files, sense="counterclockwise"):
     names = [upload(page, f"lab/{f.name}", f.read_bytes()).json()["name"] for f in files]
     questions = page.post("/api/draft", json={"names": names}).json()["questions"]
     known = ANSWERS | COUNTED | {"sense": sense}
-    needed = [one for one in questions if one["guess"] is None]
+    needed = [question for question in questions if question["guess"] is None]
     answers = {entry["key"]: known.get(entry["key"], entry["example"]) for entry in needed}
     request = {"folder": "lab", "names": names, "answers": answers}
     response = page.post("/api/drafted", json=request)

@@ -3,8 +3,8 @@
 FILE = "three/campaign.toml"
 
 
-def list_problems(told):
-    return [(problem["key"], problem["words"]) for problem in told["problems"]]
+def list_problems(response):
+    return [(problem["key"], problem["words"]) for problem in response["problems"]]
 
 
 def test_description_is_returned_with_form_and_version(page, folder):

@@ -24,15 +24,15 @@ def poll_until(page, until):
 def test_live_view_reports_new_samples(page, folder):
     three = folder / "three"
     shutil.move(three / "fast.csv", folder / "later.csv")
-    told = poll_until(page, lambda told: told["html"])
-    assert "slow" in told["html"]
-    assert told["command"].startswith("counterspin watch ")
-    before = told["html"]
-    reached = told["reached"]
+    response = poll_until(page, lambda told: told["html"])
+    assert "slow" in response["html"]
+    assert response["command"].startswith("counterspin watch ")
+    before = response["html"]
+    reached = response["reached"]
     assert [quantity["name"] for quantity in reached["u"]] == ["Qx.K_II, µg/g²", "Qy.K_II, µg/g²"]
     # Six revolutions at 0.25 and 0.5 rev/s.
     assert reached["minutes"] == pytest.approx(36.0 / 60.0, rel=1e-2)
-    shown = re.findall(r"± ([\d.]+) µg/g²", told["html"])
+    shown = re.findall(r"± ([\d.]+) µg/g²", response["html"])
     assert [float(f"{quantity['u']:.2g}") for quantity in reached["u"]] == list(map(float, shown))
     shutil.move(folder / "later.csv", three / "fast.csv")
     assert poll_until(page, lambda told: told["html"] != before)

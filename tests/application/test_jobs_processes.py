@@ -10,11 +10,11 @@ from counterspin.errors import CounterspinError
 
 def collect_messages(worker):
     """Return all messages of a worker."""
-    told = []
-    while not told or told[-1][0] not in ("done", "failed"):
-        told.append(worker.receive(300.0))
+    messages = []
+    while not messages or messages[-1][0] not in ("done", "failed"):
+        messages.append(worker.receive(300.0))
     worker.terminate()
-    return told
+    return messages
 
 
 def double_with_progress(connection, number):
@@ -43,15 +43,15 @@ def test_worker_reports_progress_and_result():
 
 
 @pytest.mark.parametrize(
-    ("work", "words", "told"),
+    ("work", "words", "message"),
     [
         (fail_with, (CounterspinError,), "in words"),
         (fail_with, (ValueError,), "internal error (ValueError: in words)"),
         (exit, (), "the process ended unexpectedly, possibly because it ran out of memory"),
     ],
 )
-def test_worker_reports_failure(work, words, told):
-    assert collect_messages(Worker(work, *words)) == [("failed", told)]
+def test_worker_reports_failure(work, words, message):
+    assert collect_messages(Worker(work, *words)) == [("failed", message)]
 
 
 def test_worker_can_be_terminated():

@@ -61,10 +61,10 @@ def test_form_sections_link_to_existing_manual_pages():
     for section in (*campaign_form(), *lab_form()):
         require_target(section["explained"])
         for field in flatten_fields(section["fields"]):
-            rest = field["help"]
+            help_text = field["help"]
             for words, address in field["links"]:
                 require_target(address)
-                _, found, rest = rest.partition(words)
+                _, found, help_text = help_text.partition(words)
                 assert found, field
                 links[section["key"], field["key"]] = address
     assert links["certificate", "ledger"] == "certificate#keep-a-ledger"

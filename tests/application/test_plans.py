@@ -186,8 +186,8 @@ def test_failed_plan_changes_no_file(planned, folder):
     request = {"name": "PLAN.toml", "moved": {"total_time": 1.0}, "folder": "planned"}
     # A plan whose folder cannot be created changes no file either.
     other = request | {"moved": {"total_time": 600.0}, "folder": "three/slow.csv"}
-    for asked in (request, other):
-        number = planned.post("/api/planned", json=asked).json()["number"]
+    for body in (request, other):
+        number = planned.post("/api/planned", json=body).json()["number"]
         assert wait_for_job(planned, number)["state"] == "failed"
         assert file.read_text() == before
     assert not (folder / "planned").exists()

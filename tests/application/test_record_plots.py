@@ -13,8 +13,8 @@ def test_chunk_extremes_match_loop():
     values[[3, 500]] = np.nan
     values[600:700] = np.nan
     edges = np.linspace(7, 991, 38).astype(int)
-    min_and_max_result = segment_extremes(values, edges)
-    for (low, high), begin, end in zip(min_and_max_result, edges[:-1], edges[1:], strict=True):
+    extremes = segment_extremes(values, edges)
+    for (low, high), begin, end in zip(extremes, edges[:-1], edges[1:], strict=True):
         part = values[begin:end][~np.isnan(values[begin:end])]
         if len(part):
             assert (low, high) == (part.min(), part.max())

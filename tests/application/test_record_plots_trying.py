@@ -6,8 +6,8 @@ from served import wait_for_job
 from counterspin.studies.study import study
 
 
-def run_job(page, asked, **said):
-    begun = page.post(f"/api/{asked}", json={"name": "three"} | said)
+def run_job(page, body, **said):
+    begun = page.post(f"/api/{body}", json={"name": "three"} | said)
     assert begun.status_code == 200, begun.text
     return wait_for_job(page, begun.json()["number"])
 

@@ -43,21 +43,21 @@ def test_server_prints_link_listens_on_loopback_and_stops_on_signal(tmp_path, ho
             urllib.request.urlopen(f"http://127.0.0.1:{port}/api/folder", timeout=BOUND)
         # A request that is not HTTP is rejected before or after a response and logs nothing.
         chunked = b"Host: 127.0.0.1:%d\r\nTransfer-Encoding: chunked\r\n\r\n" % port
-        for asked, told in ((b"\0", b"400"), (b"GET / HTTP/1.1\r\n" + chunked, b"200")):
+        for request, status in ((b"\0", b"400"), (b"GET / HTTP/1.1\r\n" + chunked, b"200")):
             with socket.create_connection(("127.0.0.1", port), timeout=BOUND) as other:
-                other.sendall(asked)
-                assert other.recv(1 << 16).startswith(b"HTTP/1.1 " + told)
+                other.sendall(request)
+                assert other.recv(1 << 16).startswith(b"HTTP/1.1 " + status)
                 other.sendall(b"no length\r\n")
         # It listens on a single loopback address.
         with pytest.raises(OSError, match="refused"):
             socket.create_connection(("127.0.0.2", port), timeout=5)
         # A link is valid once; the next link is printed after its use.
-        asked = urllib.request.Request(
+        request = urllib.request.Request(
             f"http://127.0.0.1:{port}/api/session",
             json.dumps({"token": link[2]}).encode(),
             {"Origin": f"http://127.0.0.1:{port}"},
         )
-        with urllib.request.urlopen(asked, timeout=BOUND) as answer:
+        with urllib.request.urlopen(request, timeout=BOUND) as answer:
             assert len(json.load(answer)["key"]) == 32
         assert "another browser or window" in server.stdout.readline()
         assert f"http://127.0.0.1:{port}/#token=" in (later := server.stdout.readline())
@@ -86,7 +86,7 @@ def test_shutdown_waits_for_imports_in_progress(tmp_path, monkeypatch):
 
 def test_browser_command_line_has_no_token(tmp_path, monkeypatch):
     """All users of the machine can read the list of processes."""
-    opened, seen, said = threading.Event(), [], []
+    opened, seen, printed_lines = threading.Event(), [], []
 
     def browse(address):
         file = Path(urllib.parse.urlsplit(address).path)
@@ -98,9 +98,9 @@ def test_browser_command_line_has_no_token(tmp_path, monkeypatch):
     monkeypatch.setattr(server, "_preload", lambda *_: None)
     waiting = SimpleNamespace(run=lambda **_: opened.wait(BOUND))
     monkeypatch.setattr(server, "make_server", lambda *_: waiting)
-    server.serve(tmp_path, print_line=said.append)
+    server.serve(tmp_path, print_line=printed_lines.append)
     address, file, modes, text = seen
-    link = said[1].strip()
+    link = printed_lines[1].strip()
     assert address.startswith("file:///")
     assert link.partition("=")[2] not in address
     assert modes == [0o600, 0o700]
@@ -154,8 +154,8 @@ def test_occupied_port_and_missing_folder_raise_errors(tmp_path, capsys):
         other.listen()
         port = other.getsockname()[1]
         assert cli.main(["serve", str(tmp_path), "--port", str(port)]) == 1
-    assert f"port {port} " in (told := capsys.readouterr().err)
-    assert "give another --port" in told
+    assert f"port {port} " in (stderr := capsys.readouterr().err)
+    assert "give another --port" in stderr
     assert cli.main(["serve", str(tmp_path), "--port", "99999"]) == 1
     assert cli.main(["serve", str(tmp_path / "nowhere")]) == 1
     assert "folder not found" in capsys.readouterr().err

@@ -69,14 +69,14 @@ def test_exports_to_certificate_workflow(open_window, app, folder):
     # The drawing shows the requested axes and angle.
     tab.get_by_role("img", name="Double turntable").wait_for()
     # The detected role of a column can be changed and reset before files are written.
-    what = tab.get_by_label("Role of column north_m")
-    what.select_option("velocity")
+    role_menu = tab.get_by_label("Role of column north_m")
+    role_menu.select_option("velocity")
     tab.get_by_label("What is the unit of column 'north_m'?").wait_for()
     tab.get_by_role("button", name="Calibrate").click()
     tab.get_by_text("Required, for example m/s.").wait_for()
     assert not (folder / "mine" / "campaign.toml").exists()
     assert tab.get_by_label("Latitude", exact=True).input_value() == "45.75"
-    what.select_option("displacement")
+    role_menu.select_option("displacement")
     tab.get_by_text("Required, for example m/s.").wait_for(state="detached")
     tab.get_by_label("Latitude", exact=True).fill("45.75 degs")
     tab.get_by_role("button", name="Calibrate").click()
@@ -201,15 +201,15 @@ def test_answers_persist_after_change_of_test_type(open_window, folder):
     tab.get_by_label("Folder for the new campaign").fill("mine")
     records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
     tab.get_by_label("Recorder files").set_input_files(records)
-    for question, said in PLACE:
-        find_answer_field(tab, question).fill(said)
+    for question, answer in PLACE:
+        find_answer_field(tab, question).fill(answer)
     kind = tab.get_by_label("Test type")
     kind.select_option("tumble")
     tab.locator(".panel").get_by_role("alert").wait_for()
     kind.select_option("double-turntable")
-    for question, said in PLACE:
+    for question, answer in PLACE:
         find_answer_field(tab, question).wait_for()
-        assert find_answer_field(tab, question).input_value().startswith(said.split()[0])
+        assert find_answer_field(tab, question).input_value().startswith(answer.split()[0])
 
 
 def test_table_of_readings_to_result_workflow(open_window, folder, tmp_path):
@@ -226,8 +226,8 @@ def test_table_of_readings_to_result_workflow(open_window, folder, tmp_path):
     # With a slow server, an unchecked answer is kept for the next file.
     held, holding = [], [True]
     tab.route("**/api/draft", lambda route: held.append(route) if holding else route.continue_())
-    for question, said in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
-        find_answer_field(tab, question).fill(said)
+    for question, answer in (*PLACE[:2], ("What is the nominal sensitivity", "1.25 mA/g")):
+        find_answer_field(tab, question).fill(answer)
     assert tab.get_by_label("In which direction does the input axis point").input_value() == "up"
     # Detected values of a file do not apply to another.
     kind = tab.get_by_label("Test type")
@@ -263,8 +263,8 @@ def test_pasted_arm_table_to_result_workflow(open_window, folder):
     tab.get_by_role("button", name="Use this table").click()
     tab.get_by_label("Sense of rotation").select_option("clockwise")
     known = (*PLACE[:2], ("Radius", "1.0 ± 1e-3 m"))
-    for question, said in (*known, ("What is the nominal sensitivity", "1.25 mA/g")):
-        find_answer_field(tab, question).fill(said)
+    for question, answer in (*known, ("What is the nominal sensitivity", "1.25 mA/g")):
+        find_answer_field(tab, question).fill(answer)
     # Detected values are shown, also of text columns.
     assert tab.get_by_label("Test type").input_value() == "arm"
     assert tab.get_by_label("Role of column side").input_value() == "position"
@@ -281,8 +281,8 @@ def test_pose_log_to_triad_workflow(open_window, folder, tmp_path):
     tab.get_by_label("Folder for the new campaign").fill("triad")
     tab.get_by_label("Recorder files").set_input_files(tmp_path / "imu.log")
     answers = (*PLACE[:2], ("What is the sampling rate", "100 Hz"))
-    for question, said in answers:
-        find_answer_field(tab, question).fill(said)
+    for question, answer in answers:
+        find_answer_field(tab, question).fill(answer)
     # Detected values are shown.
     kind = tab.get_by_label("Test type")
     assert kind.input_value() == "poses"
@@ -346,9 +346,9 @@ def test_record_plot_loads_more_samples_on_zoom(open_window):
     tab.get_by_text("The plot shows every row.").wait_for()
     drawing = "document.querySelector('.canvas canvas').toDataURL()"
     whole = tab.evaluate(drawing)
-    with tab.expect_response(lambda answer: "/api/record?" in answer.url) as asked:
+    with tab.expect_response(lambda answer: "/api/record?" in answer.url) as response_info:
         tab.get_by_role("button", name="Zoom in").click()
-    assert "low=1.5&high=4.5" in asked.value.url
+    assert "low=1.5&high=4.5" in response_info.value.url
     tab.locator(".canvas canvas").first.wait_for()
     wait_until(tab, lambda: tab.evaluate(drawing) != whole)
 
@@ -733,9 +733,9 @@ def test_first_screen_has_result_and_slider_changes_u(open_window, folder):
     tab.get_by_role("heading", name="Quality checks").wait_for()
     counts = {".head .state": 1, ".instrument .value": 2, ".instrument .parts": 2, ".checks li": 6}
     for selector, count in counts.items():
-        found = tab.locator(selector).all()
-        assert len(found) == count, selector
-        for shown in found:
+        locators = tab.locator(selector).all()
+        assert len(locators) == count, selector
+        for shown in locators:
             box = shown.bounding_box()
             assert box["y"] + box["height"] <= 900.0, selector
     for text in tab.locator(".instrument .value").all_inner_texts():

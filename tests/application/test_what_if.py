@@ -43,7 +43,7 @@ def test_predicted_uncertainty_matches_recalibration(page, folder, result):
 
 
 @pytest.mark.parametrize(
-    ("said", "status"),
+    ("message", "status"),
     [
         ({"accelerometer": "Qz"}, 404),
         ({"known": {"K_OO": 0.0}}, 422),
@@ -51,8 +51,8 @@ def test_predicted_uncertainty_matches_recalibration(page, folder, result):
         ({"known": {"K_OO": "nan"}}, 400),
     ],
 )
-def test_invalid_what_if_value_is_rejected(page, result, said, status):
-    assert page.post("/api/what-if", json=QX | said).status_code == status
+def test_invalid_what_if_value_is_rejected(page, result, message, status):
+    assert page.post("/api/what-if", json=QX | message).status_code == status
 
 
 def test_stated_value_is_prepared_in_copy(page, folder, result):

@@ -24,13 +24,13 @@ class PosedRecord:
 
 
 def simulate_poses(
-    rest: float, motion: float, count: int = 12, noise: float = NOISE, seed: int = 1
+    rest_duration: float, motion: float, count: int = 12, noise: float = NOISE, seed: int = 1
 ) -> PosedRecord:
-    """Return static intervals of `rest` seconds, with `motion` seconds of motion between them."""
+    """Return static intervals of `rest_duration` s with `motion` s of motion between them."""
     rng = np.random.default_rng(seed)
     force = rng.normal(size=(count, 3))
     force *= 9.81 / np.linalg.norm(force, axis=1)[:, None]
-    n_rest, n_motion = round(rest / STEP), round(motion / STEP)
+    n_rest, n_motion = round(rest_duration / STEP), round(motion / STEP)
     segments = []
     for index in range(count):
         segments.append(np.tile(force[index], (n_rest, 1)))

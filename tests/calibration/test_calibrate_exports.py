@@ -52,7 +52,7 @@ def test_without_option_is_equivalent_to_skip(tmp_path, plain_folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["solw"], '--without: no run is named "solw"; the runs are "slow", "fast"'),
         (
@@ -61,11 +61,11 @@ def test_without_option_is_equivalent_to_skip(tmp_path, plain_folder, capsys):
         ),
     ],
 )
-def test_invalid_without_option_names_run(plain_folder, capsys, words, said):
+def test_invalid_without_option_names_run(plain_folder, capsys, words, message):
     options = [word for name in words for word in ("--without", name)]
     assert main(["calibrate", str(plain_folder), *options]) == 2
     shown = " ".join(capsys.readouterr().err.split())
-    assert f"{plain_folder / 'campaign.toml'}: {said}" in shown
+    assert f"{plain_folder / 'campaign.toml'}: {message}" in shown
     assert "in memory" not in shown
 
 

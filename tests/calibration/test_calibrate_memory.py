@@ -28,7 +28,7 @@ def memory_campaign(records):
 
 
 @pytest.fixture(scope="module")
-def found(memory_campaign):
+def memory_result(memory_campaign):
     return calibrate(memory_campaign)
 
 
@@ -43,21 +43,23 @@ def block_texts(result):
     return [block.text for block in full_report_blocks(result) if hasattr(block, "text")]
 
 
-def test_folder_has_identical_result(found, written_folder):
+def test_folder_has_identical_result(memory_result, written_folder):
     again = calibrate(written_folder)
     for part in ("accelerometers", "runs", "platform", "inputs"):
-        assert getattr(again, part) == getattr(found, part), part
+        assert getattr(again, part) == getattr(memory_result, part), part
 
 
-def test_frames_and_arrays_give_same_result(found, records):
+def test_frames_and_arrays_give_same_result(memory_result, records):
     framed = {name: pl.DataFrame(dict(columns)) for name, columns in records.items()}
     again = calibrate(make_campaign(frames.parse_description_without_truth(), framed))
-    assert again.accelerometers == found.accelerometers
-    assert again.provenance == found.provenance
+    assert again.accelerometers == memory_result.accelerometers
+    assert again.provenance == memory_result.provenance
 
 
-def test_provenance_states_inputs_in_memory(found, memory_campaign, written_folder, records):
-    provenance = found.provenance
+def test_provenance_states_inputs_in_memory(
+    memory_result, memory_campaign, written_folder, records
+):
+    provenance = memory_result.provenance
     assert provenance.in_memory == {
         "campaign.toml": "made in Python",
         "slow.parquet": "arrays",
@@ -70,7 +72,7 @@ def test_provenance_states_inputs_in_memory(found, memory_campaign, written_fold
     for name, values in records["slow"].items():
         digest.update(name.encode() + b"\0" + values.tobytes())
     assert provenance.inputs["slow.parquet"] == f"sha256:{digest.hexdigest()}"
-    text = " ".join(block_texts(found))
+    text = " ".join(block_texts(memory_result))
     assert (
         "some inputs are not files: campaign.toml (made in Python); slow.parquet (arrays)" in text
     )
@@ -89,10 +91,10 @@ def test_changed_description_is_marked_with_new_checksum(written_folder):
     assert changed.inputs["slow.parquet"] == plain.inputs["slow.parquet"]
 
 
-def test_replaced_field_is_marked_as_changed(memory_campaign, found):
+def test_replaced_field_is_marked_as_changed(memory_campaign, memory_result):
     other = calibrate(replace(memory_campaign, noise=None)).provenance
     assert other.in_memory["campaign.toml"] == "changed"
-    assert other.inputs["campaign.toml"] != found.provenance.inputs["campaign.toml"]
+    assert other.inputs["campaign.toml"] != memory_result.provenance.inputs["campaign.toml"]
     same = calibrate(replace(memory_campaign)).provenance
     again = calibrate(replace(memory_campaign)).provenance
     assert same == again != other

@@ -37,14 +37,14 @@ def records(tmp_path_factory):
 
 
 @pytest.fixture(scope="module", params=["joint", "two-stage"])
-def found(records, request):
+def conformity_result(records, request):
     return calibrate(records, method=request.param)
 
 
-def test_result_contains_verdicts(found, tmp_path):
+def test_result_contains_verdicts(conformity_result, tmp_path):
     verdicts = {
         (name, symbol): verdict.verdict
-        for name, accelerometer in found.accelerometers.items()
+        for name, accelerometer in conformity_result.accelerometers.items()
         for symbol, verdict in accelerometer.conformity.items()
     }
     assert verdicts == {
@@ -53,13 +53,13 @@ def test_result_contains_verdicts(found, tmp_path):
         ("Qy", "K_II"): "fail",
         ("Qy", "K_PO"): "undecided",
     }
-    found.write(tmp_path / "r.json")
-    assert Result.read(tmp_path / "r.json") == found
+    conformity_result.write(tmp_path / "r.json")
+    assert Result.read(tmp_path / "r.json") == conformity_result
 
 
-def test_verdict_follows_from_estimate(found):
-    k_ii = found.accelerometers["Qx"].coefficients["K_II"]
-    verdict = found.accelerometers["Qx"].conformity["K_II"]
+def test_verdict_follows_from_estimate(conformity_result):
+    k_ii = conformity_result.accelerometers["Qx"].coefficients["K_II"]
+    verdict = conformity_result.accelerometers["Qx"].conformity["K_II"]
     limits = Specification(verdict.specification, verdict.low, verdict.high, "g/g^2")
     assert verdict == decide(k_ii.value, k_ii.u, k_ii.dof, limits, DecisionRule("guarded"))
     assert (verdict.low, verdict.high) == (pytest.approx(-50e-6), pytest.approx(50e-6))
@@ -131,8 +131,8 @@ def joined_text(blocks):
     return "\n".join(getattr(block, "text", "") for block in blocks)
 
 
-def test_report_shows_verdicts_before_coefficients(found):
-    blocks = result_blocks(found)
+def test_report_shows_verdicts_before_coefficients(conformity_result):
+    blocks = result_blocks(conformity_result)
     places = {getattr(block, "text", None): i for i, block in enumerate(blocks)}
     assert places["Conformity"] < places["Accelerometer Qx"]
     table = blocks[places["Conformity"] + 1]
@@ -167,21 +167,23 @@ def test_report_shows_verdicts_before_coefficients(found):
         ),
     ],
 )
-def test_decision_rule_is_stated(found, rule, words):
+def test_decision_rule_is_stated(conformity_result, rule, words):
     text = joined_text(
-        conformity_blocks(judge_conformity(found, make_specifications(K_II="<= 1 g/g^2", **rule)))
+        conformity_blocks(
+            judge_conformity(conformity_result, make_specifications(K_II="<= 1 g/g^2", **rule))
+        )
     )
     assert words in text
     assert "guard bands" not in text
 
 
-def test_report_has_global_risk_for_stated_process(found):
+def test_report_has_global_risk_for_stated_process(conformity_result):
     process = {"K_II": "0 ± 25 ug/g^2"}
     raw = {"decision_rule": "simple", "K_II": "abs <= 50 ug/g^2", "process": process}
     specifications = resolve_specifications(
-        raw, found.accelerometers, problems=Problems({}), gravity=None
+        raw, conformity_result.accelerometers, problems=Problems({}), gravity=None
     )
-    judged = judge_conformity(found, specifications)
+    judged = judge_conformity(conformity_result, specifications)
     risk = judged.accelerometers["Qx"].conformity["K_II"].global_risk
     assert (risk.mean, risk.sigma) == (0.0, pytest.approx(25e-6))
     assert 0.0 < risk.consumer < risk.producer

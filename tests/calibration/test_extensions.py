@@ -85,15 +85,15 @@ for line in sys.stdin:
 def folders(tmp_path_factory):
     """Return folders of a correct campaign and of two with a contradicted statement."""
     root = tmp_path_factory.mktemp("campaigns")
-    made = []
+    campaign_folders = []
     for name, change in {"right": None, **CONTRADICTED}.items():
         (root / name).mkdir()
         simulate(write_description(root / name, SMALL, "plan.toml"), root / name / "records")
         description = root / name / "records" / "campaign.toml"
         if change is not None:
             description.write_text(replace_parts(description.read_text("utf-8"), change), "utf-8")
-        made.append(description.parent)
-    return made
+        campaign_folders.append(description.parent)
+    return campaign_folders
 
 
 @pytest.fixture(scope="module")

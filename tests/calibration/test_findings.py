@@ -27,8 +27,8 @@ def judge_changed(**changes):
     return judge_result(make_qx_result(**changes))
 
 
-def finding_codes(found):
-    return [finding.code for finding in found.findings]
+def finding_codes(result):
+    return [finding.code for finding in result.findings]
 
 
 def test_good_result_has_no_findings():
@@ -157,12 +157,12 @@ def test_cause_that_explains_most_comes_first():
 
 def test_wrong_noise_is_single_finding():
     # All shifts exceed u because the noise is ten times as large as stated.
-    found = judge_changed(
+    judged = judge_changed(
         residual=make_residual(10.0),
         jackknife=make_jackknife(25.0),
         two_stage=make_two_stage(-29.0),
     )
-    assert finding_codes(found) == ["lack-of-fit"]
+    assert finding_codes(judged) == ["lack-of-fit"]
     calibration = judge_changed(residual=make_residual(10.0), jackknife=make_jackknife(65.0))
     assert finding_codes(calibration) == ["lack-of-fit", "run-disagrees"]
 

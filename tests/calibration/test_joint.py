@@ -695,22 +695,22 @@ def test_removed_gravity_is_separate_input(tmp_path):
         ),
     )
     folder = simulate_folder(tmp_path, upright)
-    found = {}
+    result_by_case = {}
     for removed in (True, False):
         text = replace_parts(upright, ("9.80678 m/s^2", "9.8066 ± 1e-4 m/s^2"))
         if not removed:
             text = replace_parts(text, ('removed_gravity = "9.8066 m/s^2"\n', ""))
         (folder / "campaign.toml").write_text(text, encoding="utf-8")
-        found[removed] = calibrate(folder)
-    upright_of = {r: one.accelerometers["Qy"].coefficients for r, one in found.items()}
+        result_by_case[removed] = calibrate(folder)
+    upright_of = {r: one.accelerometers["Qy"].coefficients for r, one in result_by_case.items()}
     c, wrong = upright_of[True]["K_I"], upright_of[False]["K_I"]
     assert abs(c.value - 0.9988) < 3 * c.u
     assert c.u == pytest.approx(1e-4 / 9.8066, rel=0.1)
     assert wrong.value - 0.9988 == pytest.approx(1.8e-4 / 9.8066, rel=0.05)
     assert abs(wrong.value - 0.9988) > 10 * wrong.u
-    (asked,) = (f for f in found[False].findings if f.code == "removed-gravity")
-    assert "removed_gravity in [site]" in asked.text
-    assert not any(f.code == "removed-gravity" for f in found[True].findings)
+    (finding,) = (f for f in result_by_case[False].findings if f.code == "removed-gravity")
+    assert "removed_gravity in [site]" in finding.text
+    assert not any(f.code == "removed-gravity" for f in result_by_case[True].findings)
 
 
 def test_ripple_hidden_by_encoder_noise_is_in_budget(tmp_path):

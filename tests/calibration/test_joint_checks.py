@@ -88,14 +88,14 @@ def test_two_stage_comparison_uses_model_of_joint_fit(tmp_path):
     With the joint estimate of the drift, the differences of both K_II have the stated u.
     """
     terms = '"platform.tilt"]'
-    asked = (terms, '"platform.tilt", "platform.drift"]')
+    replacement = (terms, '"platform.tilt", "platform.drift"]')
     drift = 'drift = { north = "1 deg/h", east = "-1 deg/h" }'
     drifting = ("[truth.spindle]", f"[truth.platform]\n{drift}\n\n[truth.spindle]")
     distances = []
     for seed in range(11, 19):
         again = ("seed = 3", f"seed = {seed}")
-        records = make_records(tmp_path / f"{seed}", asked, drifting, again)
-        mistake = Mistake("", "", description=(asked,))
+        records = make_records(tmp_path / f"{seed}", replacement, drifting, again)
+        mistake = Mistake("", "", description=(replacement,))
         result = calibrate(make_mistaken_campaign(tmp_path / f"{seed} stated", mistake, records))
         beside = [accelerometer.two_stage for accelerometer in result.accelerometers.values()]
         distances += [one.z for one in beside]

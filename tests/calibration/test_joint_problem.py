@@ -70,11 +70,11 @@ def test_credible_sizes_follow_grade_of_accelerometer(tmp_path):
     campaign = read_campaign(write_description(tmp_path, replace_parts(SMALL, of_qy)))
     model = make_unknowns(campaign)
     for name, grade in (("Qx", "navigation"), ("Qy", "consumer")):
-        asked = [u for u in model.unknowns if u.owner == name]
+        unknowns = [u for u in model.unknowns if u.owner == name]
         perfect = [c for c in fixed_terms(campaign, model, name) if c.symbol in ACCELEROMETER_TERMS]
-        assert {u.symbol for u in asked} >= {"K_F", "K_II", "K_III"}
+        assert {u.symbol for u in unknowns} >= {"K_F", "K_II", "K_III"}
         assert {c.symbol for c in perfect} >= {"K_OO", "delta_O"}
-        for one in (*asked, *perfect):
+        for one in (*unknowns, *perfect):
             assert one.limit == term(one.symbol).sizes(grade).limit
         accelerometer = campaign.accelerometers[name]
         request = make_request(JointProblem(campaign), accelerometer, TwoStageOptions())

@@ -91,9 +91,9 @@ def both_results(folder):
 def test_result_matches_stated_noise_with_dof_of_record(
     both_results,
 ):
-    found, by_hand, noise = both_results
+    result, by_hand, noise = both_results
     dof = 2.0 * noise.white**4 / noise.covariance[0][0]
-    first, second = (r.accelerometers["Qx"].coefficients["K_II"] for r in (found, by_hand))
+    first, second = (r.accelerometers["Qx"].coefficients["K_II"] for r in (result, by_hand))
     assert (first.value, first.u) == pytest.approx((second.value, second.u), rel=1e-9)
     assert second.dof is None
     assert first.dof == pytest.approx(dof, rel=0.01)
@@ -101,9 +101,9 @@ def test_result_matches_stated_noise_with_dof_of_record(
 
 
 def test_lack_of_fit_test_includes_uncertainty_of_noise(both_results):
-    found, by_hand, noise = both_results
+    result, by_hand, noise = both_results
     dof = 2.0 * noise.white**4 / noise.covariance[0][0]
-    first, second = (r.accelerometers["Qx"].residual for r in (found, by_hand))
+    first, second = (r.accelerometers["Qx"].residual for r in (result, by_hand))
     assert first.chi2 == pytest.approx(second.chi2, rel=1e-9)
     p = fisher.sf(first.chi2 / first.dof, first.dof, dof)
     assert first.lack_of_fit_p == pytest.approx(p, rel=1e-6)

@@ -84,8 +84,8 @@ def test_slope_is_estimated_within_runs_of_equal_temperature(observable, noise):
     assert result.state == "good", result.findings
     coefficients = result.accelerometers["A"].coefficients
     for symbol, true in (("K_F", BIAS), ("K_F.temperature", SLOPE)):
-        one = coefficients[symbol]
-        assert abs(one.value - true) < 4.0 * one.u, (symbol, one)
+        coefficient = coefficients[symbol]
+        assert abs(coefficient.value - true) < 4.0 * coefficient.u, (symbol, coefficient)
     assert coefficients["K_F.temperature"].u < 0.01 * SLOPE
     warmest = 273.15 + float(records["r0"]["T"].max())
     assert result.inputs.temperatures == pytest.approx([296.15, warmest], abs=0.05)

@@ -51,8 +51,8 @@ def test_counts_are_summed_over_columns():
 
 
 @pytest.mark.parametrize(
-    ("outliers", "accelerometers", "said"), [(46, 1, 0), (47, 1, 1), (96, 2, 0), (97, 2, 1)]
+    ("outliers", "accelerometers", "message"), [(46, 1, 0), (47, 1, 1), (96, 2, 0), (97, 2, 1)]
 )
-def test_more_than_5_percent_outliers_is_finding(outliers, accelerometers, said):
+def test_more_than_5_percent_outliers_is_finding(outliers, accelerometers, message):
     outlier_share = check_outlier_share("A.r", make_report(outliers).counts(), accelerometers)
-    assert [(f.code, f.subject) for f in outlier_share] == [("many-outliers", "A.r")] * said
+    assert [(f.code, f.subject) for f in outlier_share] == [("many-outliers", "A.r")] * message

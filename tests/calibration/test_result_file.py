@@ -74,8 +74,8 @@ def test_inputs_and_rotations_are_held_or_noise():
     lines = document["accelerometers"]["Qx"]["budget"]["K_II"]
     lines[0]["source"], lines[1]["source"] = "centrifuge.radius (input)", "run1.angle (encoder)"
     new = upgrade(document)["accelerometers"]["Qx"]["budget"]["K_II"]
-    found = [(line["source"], line["kind"]) for line in new[:2]]
-    assert found == [("centrifuge.radius", "held"), ("run1.angle", "noise")]
+    sources_and_kinds = [(line["source"], line["kind"]) for line in new[:2]]
+    assert sources_and_kinds == [("centrifuge.radius", "held"), ("run1.angle", "noise")]
 
 
 def test_omitted_terms_are_assumed():

@@ -85,13 +85,13 @@ def test_key_lines_of_tables_arrays_and_dotted_keys():
 
 def _walk_values(value, path=()):
     """Return key, as in messages, -> value for all values of a document."""
-    found = {format_key_path(path).replace('"', ""): value}
+    values = {format_key_path(path).replace('"', ""): value}
     inner = value.items() if isinstance(value, dict) else ()
     if isinstance(value, list):
         inner = enumerate(value)
     for key, one in inner:
-        found |= _walk_values(one, (*path, key))
-    return found
+        values |= _walk_values(one, (*path, key))
+    return values
 
 
 @pytest.mark.parametrize("name", ["starter.toml", "starter_tumble.toml", "starter_arm.toml"])
@@ -113,7 +113,7 @@ def test_line_contains_value_of_key(name):
 def test_message_has_line_of_key_or_table(tmp_path):
     file = tmp_path / "a.toml"
     file.write_text(TEXT, encoding="utf-8")
-    told = {
+    line_by_message = {
         "accelerometers.Qx.output.zero: must be a string": 12,
         "accelerometers.Qx.input_axis: is missing": 11,
         'runs[1].rate: is missing (run "two")': 17,
@@ -122,8 +122,10 @@ def test_message_has_line_of_key_or_table(tmp_path):
         "limits: is missing": None,
         "no key at all": None,
     }
-    assert message_lines(list(told), file) == list(told.values())
-    assert message_lines(list(told), tmp_path / "none.toml") == [None] * len(told)
+    assert message_lines(list(line_by_message), file) == list(line_by_message.values())
+    assert message_lines(list(line_by_message), tmp_path / "none.toml") == [None] * len(
+        line_by_message
+    )
 
 
 def test_errors_of_file_state_line(tmp_path):

@@ -217,8 +217,8 @@ def test_assume_rejects_unknown_or_inactive_term(assume, problem):
 def test_rejects_term_both_held_and_assumed(key, name):
     known = {"K_OO": "0 ± 1e-6 g/g^2", "platform.tilt": "0 ± 1 arcsec"}
     held = {"terms": ["K_II"], key: [name], "priors": known}
-    _, _, (told,) = resolve_terms({"Qx": QX}, assume=["K_PP", name], **held)
-    assert told == f'model.assume[1]: "{name}" is also in model.{key}; keep only one of them'
+    _, _, (problem,) = resolve_terms({"Qx": QX}, assume=["K_PP", name], **held)
+    assert problem == f'model.assume[1]: "{name}" is also in model.{key}; keep only one of them'
     # Only unstated terms of a family are assumed.
     assert resolve_terms({"Qx": QX}, assume="all", **held)[2] == []
 
@@ -231,10 +231,10 @@ def test_considered_is_alias_of_hold():
     )
     assert old == new
     assert new[0].considered == ("K_OO",)
-    _, _, (told,) = resolve_terms(
+    _, _, (problem,) = resolve_terms(
         {"Qx": QX}, terms=["K_II"], priors=known, hold=["K_OO"], considered=["K_PP"]
     )
-    assert told == "model.considered: this key is the former name of hold; keep only hold"
+    assert problem == "model.considered: this key is the former name of hold; keep only hold"
 
 
 def test_unrequested_term_may_have_prior():
@@ -317,8 +317,10 @@ def test_sizes_of_all_terms_can_be_stated():
         assert model.typical[symbol] == pytest.approx(size, rel=1e-14)
         assert model.limits[symbol] == pytest.approx(size, rel=1e-14)
     assert set(model.typical) == set(model.limits) == set(sizes)
-    _, _, (told,) = resolve_terms({"Qx": QX}, terms=["K_II"], typical={"centrifuge.radios": "1 mm"})
-    assert told.startswith('model.typical."centrifuge.radios": unknown term')
+    _, _, (problem,) = resolve_terms(
+        {"Qx": QX}, terms=["K_II"], typical={"centrifuge.radios": "1 mm"}
+    )
+    assert problem.startswith('model.typical."centrifuge.radios": unknown term')
 
 
 def test_path_names_expand_to_harmonics_and_quadratures():

@@ -72,7 +72,7 @@ def test_error_in_truth_names_key(tmp_path, slip):
 
 
 @pytest.mark.parametrize(
-    ("run", "said"),
+    ("run", "message"),
     [
         (RUN + "truth = { tilt = { north = '1 arcsec' } }\n", "contains the tilt of a platform"),
         (RUN + "truth = { drift = '1 m' }\n", "runs[0].truth.drift: "),
@@ -82,11 +82,11 @@ def test_error_in_truth_names_key(tmp_path, slip):
         ),
     ],
 )
-def test_error_in_truth_of_run_is_reported(tmp_path, run, said):
+def test_error_in_truth_of_run_is_reported(tmp_path, run, message):
     with pytest.raises(CampaignError) as caught:
         write_and_read_campaign(tmp_path, format_site("1 m") + ACCELEROMETER + run + "[truth.A]\n")
     (line,) = caught.value.problems
-    assert said in line
+    assert message in line
 
 
 def test_reading_without_truth_requires_value(tmp_path):

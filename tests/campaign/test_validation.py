@@ -27,7 +27,7 @@ class Section(SettingsSection):
 
 
 @pytest.mark.parametrize(
-    ("raw", "told"),
+    ("raw", "message"),
     [
         ({"count": 1}, "count: must be at least 2"),
         ({"count": 10}, "count: must be at most 9"),
@@ -52,10 +52,10 @@ class Section(SettingsSection):
         ({"reading": []}, "reading: must have at least one entry"),
     ],
 )  # fmt: skip
-def test_error_is_reported_once_at_key(raw, told):
+def test_error_is_reported_once_at_key(raw, message):
     problems = Problems(raw)
     assert problems.check(Section, raw, ()) is None
-    assert problems.lines == [told]
+    assert problems.lines == [message]
 
 
 def test_value_of_each_type_is_accepted():

@@ -34,7 +34,7 @@ def test_all_missing_keys_are_reported(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ('name = "Kunde"', 'name = "  "', "customer.name: must not be empty"),
         ('name = "Kunde"', 'name = "a\\u0007b"', "customer.name: contains a control character"),
@@ -66,10 +66,10 @@ def test_all_missing_keys_are_reported(tmp_path):
         ),
     ],
 )
-def test_error_names_key(tmp_path, old, new, told):
+def test_error_names_key(tmp_path, old, new, message):
     assert old in LAB
     (problem,) = list_problems(tmp_path, LAB.replace(old, new, 1))
-    assert told in problem
+    assert message in problem
 
 
 def test_missing_file_error_names_write_example(tmp_path):

@@ -57,7 +57,7 @@ def test_result_file_is_entered_in_ledger(campaign_folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "told"),
+    ("words", "status", "message"),
     [
         (
             ("--ledger", "l.jsonl", *WHO),
@@ -77,10 +77,10 @@ def test_result_file_is_entered_in_ledger(campaign_folder, capsys):
     ],
 )
 def test_invalid_ledger_entry_raises_before_calibration(
-    campaign_folder, capsys, words, status, told
+    campaign_folder, capsys, words, status, message
 ):
     (campaign_folder / "altered.jsonl").write_text("{}\n")
     before = sorted(campaign_folder.iterdir())
     assert run(*words) == status
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert sorted(campaign_folder.iterdir()) == before

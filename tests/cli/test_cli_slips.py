@@ -268,9 +268,9 @@ def test_deleted_working_folder_raises_error(recorded_campaign):
     gone = "mkdir gone && cd gone && rmdir ../gone"
     assert run_shell(f"{gone} && {COMMAND} calibrate .", recorded_campaign)[0] == 2
     for words in ("init x", "demo", "history .", f"calibrate {recorded_campaign} --json r.json"):
-        status, said = run_shell(f"{gone} && {COMMAND} {words}", recorded_campaign)
+        status, output = run_shell(f"{gone} && {COMMAND} {words}", recorded_campaign)
         assert status == 1
-        assert said
+        assert output
 
 
 IN_ONE_PROCESS = """
@@ -295,5 +295,5 @@ for words in (
 def test_non_ascii_and_non_utf8_names_are_accepted(recorded_campaign, tmp_path, locale):
     shutil.copytree(recorded_campaign, tmp_path / "here")
     (tmp_path / "here" / "all.py").write_text(IN_ONE_PROCESS)
-    status, said = run_shell(f"{sys.executable} all.py", tmp_path / "here", LC_ALL=locale)
-    assert status == 0, said
+    status, output = run_shell(f"{sys.executable} all.py", tmp_path / "here", LC_ALL=locale)
+    assert status == 0, output

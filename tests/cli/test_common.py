@@ -7,7 +7,7 @@ from counterspin.cli.common import translate_message
 
 
 @pytest.mark.parametrize(
-    ("words", "raised", "told"),
+    ("words", "raised", "message"),
     [
         (["simulate", "x"], "set `overwrite=True`", "set --overwrite"),
         (["apply", "r", "f"], "name it with `column`", "name it with --input"),
@@ -22,8 +22,8 @@ from counterspin.cli.common import translate_message
         (["plan"], "`planning.plan.write_example`", "`counterspin plan --init FILE`"),
     ],
 )
-def test_arguments_in_messages_become_options(words, raised, told):
-    assert translate_message(raised, cli.app, words) == told
+def test_arguments_in_messages_become_options(words, raised, message):
+    assert translate_message(raised, cli.app, words) == message
 
 
 def test_error_names_options_of_command(tmp_path, capsys):

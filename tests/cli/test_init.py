@@ -80,18 +80,18 @@ def test_arm_table_to_result(tmp_path, monkeypatch, capsys):
 def test_missing_answer_is_requested(tmp_path, plain_folder, monkeypatch, capsys):
     words = ["init", str(tmp_path), "--from", str(plain_folder / "slow.csv"), *PLACE]
     assert main([*words, "--yes"]) == 2
-    told = capsys.readouterr().err
-    assert 'Set this value with --answer, for example "radius=2.5' in told
-    assert "sense: In which sense does the angle increase" in told
+    stderr = capsys.readouterr().err
+    assert 'Set this value with --answer, for example "radius=2.5' in stderr
+    assert "sense: In which sense does the angle increase" in stderr
     assert not (tmp_path / "campaign.toml").exists()
     assert main(words) == 2  # no terminal for questions
 
     monkeypatch.setattr("sys.stdin", Terminal("bench\n\n2,5 kg\n2,5\nleft\ncw\n"))
     assert main(words) == 0
-    told = capsys.readouterr().out
-    assert "'bench' is not one of double-turntable, tumble, arm, poses. Try again:" in told
-    assert "unknown unit 'kg'" in told
-    assert "'left' is not one of counterclockwise, clockwise. Try again:" in told
+    stderr = capsys.readouterr().out
+    assert "'bench' is not one of double-turntable, tumble, arm, poses. Try again:" in stderr
+    assert "unknown unit 'kg'" in stderr
+    assert "'left' is not one of counterclockwise, clockwise. Try again:" in stderr
     assert 'sense = "clockwise"' in (tmp_path / "campaign.toml").read_text(encoding="utf-8")
     monkeypatch.setattr("sys.stdin", Terminal(""))
     assert main(["init", str(tmp_path / "b"), *words[2:]]) == 1

@@ -443,9 +443,9 @@ def test_result_contains_priors_of_campaign(tmp_path):
     file.write_text(text.replace("g/g^3", "g/g^2", 1), encoding="utf-8")
     parts = describe_instrument(cs.read_campaign(tmp_path).accelerometers["Qx"], ["K_F", "K_I"])
     assert parts["known"] == {"K_OO": make_coefficient("K_OO", 2e-6, 1e-5, estimated=False)}
-    found = found_of(**parts)
-    assert found.axes == list(QX.axes)
-    assert AccelerometerResult.model_validate_json(found.model_dump_json()) == found
+    run_priors = found_of(**parts)
+    assert run_priors.axes == list(QX.axes)
+    assert AccelerometerResult.model_validate_json(run_priors.model_dump_json()) == run_priors
 
 
 def test_correlated_errors_cancel():

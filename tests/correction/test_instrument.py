@@ -46,12 +46,12 @@ def test_cross_axis_forces_act_through_product_terms():
     bare_result = make_bare_result(
         accelerometers={"Qx": make_accelerometer_result(coefficients=own)}
     )
-    found = bare_result.predict("Qx", FORCE, pendulous=PENDULOUS, output_axis=0.5)
+    indication = bare_result.predict("Qx", FORCE, pendulous=PENDULOUS, output_axis=0.5)
     products = {"K_IP": FORCE * PENDULOUS, "K_OO": 0.25 * np.ones(5), "K_I": FORCE}
     expected = sum(terms[symbol][0] * products[symbol] for symbol in terms)
-    assert found.indicated == pytest.approx(expected, rel=1e-14)
+    assert indication.indicated == pytest.approx(expected, rel=1e-14)
     u = np.sqrt(sum((terms[symbol][1] * products[symbol]) ** 2 for symbol in terms))
-    assert found.u == pytest.approx(u, rel=1e-14)
+    assert indication.u == pytest.approx(u, rel=1e-14)
 
 
 def test_u_matches_covariance(result):

@@ -48,14 +48,14 @@ def make_result(values, u=(), temperatures=(270.0, 340.0), reference=REFERENCE, 
 def predict_indication(celsius, force=FORCE):
     """Return Eq. 7 with the coefficients at the temperature of each sample."""
     t = np.broadcast_to(np.asarray(celsius) - REFERENCE, force.shape)
-    made = []
+    indications = []
     for warm, f in zip(t, force, strict=True):
         at = dict(MODEL)
         at["K_F"] += 3e-5 * warm - 4e-7 * warm**2
         at["K_I"] += 1.5e-4 * warm + 2e-9 * warm**3
         at["K_II"] += 5e-8 * warm
-        made.append(indicated(QX, at, np.array([[f, 0.0, 0.0]]))[0])
-    return np.array(made)
+        indications.append(indicated(QX, at, np.array([[f, 0.0, 0.0]]))[0])
+    return np.array(indications)
 
 
 def test_slopes_use_temperature_of_each_row():
@@ -63,20 +63,20 @@ def test_slopes_use_temperature_of_each_row():
     done = apply(make_result(MODEL | SLOPES), "A", y, ApplyOptions(temperature=CELSIUS))
     np.testing.assert_allclose(done.corrected, FORCE, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(done.u, 0.0)
-    one = apply(
+    first_correction = apply(
         make_result(MODEL | SLOPES),
         "A",
         predict_indication(35.0),
         ApplyOptions(temperature="35 degC"),
     )
-    np.testing.assert_allclose(one.corrected, FORCE, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(first_correction.corrected, FORCE, rtol=0, atol=1e-12)
     kelvin = ApplyOptions(temperature="308.15 K")
     np.testing.assert_allclose(
         apply(make_result(MODEL | SLOPES), "A", predict_indication(35.0), kelvin).corrected,
         FORCE,
         atol=1e-12,
     )
-    assert "are relative to 20 degC" in one.notes[-1]
+    assert "are relative to 20 degC" in first_correction.notes[-1]
 
 
 def test_slopes_have_no_effect_at_reference_temperature():

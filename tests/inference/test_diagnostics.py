@@ -78,7 +78,7 @@ def test_dominant_wave_is_first_finding():
     findings = diagnose({"a": slow, "b": tone}, 3990, noise_given=False).findings
     assert findings[0].startswith("b: a spectral peak")
     assert findings[0].endswith("a periodic effect, such as a vibration.")
-    assert any(one.startswith("a: ") for one in findings[1:])
+    assert any(finding.startswith("a: ") for finding in findings[1:])
 
 
 def test_sign_test_moments_match_permutations():

@@ -68,10 +68,10 @@ def test_german_table_is_understood(tmp_path):
     path.write_text("\n".join(lines) + "\n", encoding="latin-1")
     looks = read_files([path])
     assert guess_test(looks) == "arm"
-    found = make_draft(looks, SAID | {"Signal sensitivity": "1,25"}, "arm")
-    assert found.open_questions == []
-    assert "4 readings at rest (rate 0)" in found.statements
-    document = found.make_document(tmp_path / "camp")
+    draft = make_draft(looks, SAID | {"Signal sensitivity": "1,25"}, "arm")
+    assert draft.open_questions == []
+    assert "4 readings at rest (rate 0)" in draft.statements
+    document = draft.make_document(tmp_path / "camp")
     assert list(document)[2:] == ["site", "centrifuge", "accelerometers", "readings", "model"]
     horizontal, vertical = {"pendulous": "up"}, {"pendulous": "outward"}
     assert document["readings"] == {
@@ -88,7 +88,7 @@ def test_german_table_is_understood(tmp_path):
             "außen": {"input": "outward"} | horizontal,
         },
     }
-    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    campaign = read_campaign(write_description(draft, tmp_path / "camp"))
     assert [reading.rate for reading in campaign.readings[:5]] == [0.0] * 4 + [
         pytest.approx(-math.pi)
     ]
@@ -195,8 +195,8 @@ def test_coarse_rate_is_reported(tmp_path):
 def test_time_column_requires_more_readings_at_rest(tmp_path):
     """Without drift, two readings at rest per position suffice; with drift one is missing."""
     rows = [[n, *row] for n, row in enumerate(make_rows())]
-    for drift, rest in ((True, rows[:2] + rows[3:]), (False, rows)):
-        path = write_table(tmp_path / "t.csv", rest, "time_s,side,n_rpm,out_mA")
+    for drift, rest_rows in ((True, rows[:2] + rows[3:]), (False, rows)):
+        path = write_table(tmp_path / "t.csv", rest_rows, "time_s,side,n_rpm,out_mA")
         assert [q.key for q in draft_arm(path).open_questions] == (["u"] if drift else [])
 
 

@@ -138,8 +138,8 @@ def test_calibration_from_file_needs_only_sensitivity(tmp_path, write):
     open_questions = make_draft(looks, SAID, "arm").open_questions
     # All but the nominal sensitivity follows from the table.
     assert [question.key.split()[-1] for question in open_questions] == ["sensitivity"]
-    found = make_draft(looks, SAID | {open_questions[0].key: f"{TABLES[write]}"}, "arm")
-    write_description(found, tmp_path / "camp")
+    draft = make_draft(looks, SAID | {open_questions[0].key: f"{TABLES[write]}"}, "arm")
+    write_description(draft, tmp_path / "camp")
     (result,) = calibrate(tmp_path / "camp").accelerometers.values()
     for name, true in TRUE.items():
         estimate = result.coefficients[name]

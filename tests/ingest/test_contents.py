@@ -49,9 +49,10 @@ def test_file_without_numbers_raises(tmp_path):
     (tmp_path / "a.csv").write_text("a,b\nx,y\n")
     with pytest.raises(RecordError) as caught:
         read_contents(tmp_path / "a.csv")
-    told = str(caught.value)
+    message = str(caught.value)
     assert (
-        "no column contains only numbers. First lines of the file:\n  line 1: 2 cells, none" in told
+        "no column contains only numbers. First lines of the file:\n  line 1: 2 cells, none"
+        in message
     )
 
 

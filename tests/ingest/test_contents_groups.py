@@ -42,11 +42,11 @@ def test_hdf5_tables_are_read_as_poses(tmp_path, write):
     write(tmp_path / "a.h5")
     contents = read_files([tmp_path / "a.h5"])
     assert guess_test(contents) == "poses"
-    found = make_draft(contents, PLACE, "poses")
-    assert found.open_questions == []
-    assert found.guesses[0].time.column.rpartition("/")[2] == "time"
-    assert len(found.triad.poses.start) == 12
-    read_campaign(write_description(found, tmp_path / "camp"))
+    draft = make_draft(contents, PLACE, "poses")
+    assert draft.open_questions == []
+    assert draft.guesses[0].time.column.rpartition("/")[2] == "time"
+    assert len(draft.triad.poses.start) == 12
+    read_campaign(write_description(draft, tmp_path / "camp"))
 
 
 TIME = np.arange(800) * 0.05
@@ -85,8 +85,8 @@ def test_structures_and_groups_are_runs(tmp_path, name, write, names, mark):
     for n, axis in ((1, "east"), (2, "north")):
         key = f"pos{mark}{n}"
         answers |= {f"{key} is": "displacement", f"{key} unit": "m", f"{key} axis": axis}
-    found = make_draft(contents, answers, "double-turntable")
-    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    draft = make_draft(contents, answers, "double-turntable")
+    campaign = read_campaign(write_description(draft, tmp_path / "camp"))
     assert [run.rate for run in campaign.runs] == pytest.approx([np.pi, 0.5 * np.pi])
     for run, theta in zip(campaign.runs, TURNS.values(), strict=True):
         record = read_run(campaign, run)
@@ -97,10 +97,10 @@ def test_pose_groups_are_runs(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for n in range(2):
             file[f"run{n}/time"], file[f"run{n}/acc"] = POSED.time, POSED.values + n
-    found = make_draft(read_files([tmp_path / "a.h5"]), PLACE, "poses")
-    document = found.make_document(tmp_path)
+    draft = make_draft(read_files([tmp_path / "a.h5"]), PLACE, "poses")
+    document = draft.make_document(tmp_path)
     assert [run["records"] for run in document["runs"]] == [{"group": "run0"}, {"group": "run1"}]
-    campaign = read_campaign(write_description(found, tmp_path / "c"))
+    campaign = read_campaign(write_description(draft, tmp_path / "c"))
     poses = campaign_poses(campaign)
     half = len(poses) // 2
     values = np.array([[reading.value for reading in pose.pose] for pose in poses])

@@ -78,7 +78,7 @@ def lines(path, head, rows):
 
 
 @pytest.mark.parametrize(
-    ("head", "row", "told"),
+    ("head", "row", "message"),
     [
         (["Time;Angle;East"], "at {t};{a} or so;{e}?", "line 2: 3 cells, none a number.*numeric"),
         ([], '{{"t": {t}, "angle": {a}, "east": {e}}}', "line 1.*Export one column"),
@@ -89,10 +89,10 @@ def lines(path, head, rows):
         ),
     ],
 )
-def test_unsupported_layout_raises_with_remedy(tmp_path, recorded_frame, head, row, told):
+def test_unsupported_layout_raises_with_remedy(tmp_path, recorded_frame, head, row, message):
     cells = zip(*(recorded_frame[name] for name in ("time_s", "angle_rad", "east_m")), strict=True)
     rows = [row.format(t=t, a=a, e=e) for t, a, e in cells]
-    with pytest.raises(CounterspinError, match=f"(?s){told}"):
+    with pytest.raises(CounterspinError, match=f"(?s){message}"):
         make_turntable_draft(read_files([lines(tmp_path / "run.csv", head, rows)])).make_document(
             tmp_path
         )
@@ -136,10 +136,10 @@ def test_rows_are_counted_for_clock_of_one_second_resolution(tmp_path, recorded_
     stamps = [f"2026-01-12 10:59:{int(t):02d}" for t in recorded_frame["time_s"]]
     path = tmp_path / "run.csv"
     recorded_frame.with_columns(time_s=pl.Series(stamps)).write_csv(path)
-    (asked,) = (
+    (question,) = (
         q for q in make_turntable_draft(read_files([path])).questions if q.key == "sampling_rate"
     )
-    assert asked.guess == "20 Hz"
+    assert question.guess == "20 Hz"
     statements = " ".join(make_turntable_draft(read_files([path])).statements)
     assert (
         "20 rows per second, calculated from the row count, because several rows have the same "
@@ -157,10 +157,10 @@ def test_header_of_second_run_raises_with_line(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [(b"\xd0\xcf\x11\xe0", "a workbook"), (b"<html><table>", "a web page or XML")],
 )
-def test_old_workbook_format_raises_with_remedy(tmp_path, content, told):
+def test_old_workbook_format_raises_with_remedy(tmp_path, content, message):
     (tmp_path / "run.xls").write_bytes(content + bytes(600))
-    with pytest.raises(CounterspinError, match=f"{told}.*save it as .xlsx"):
+    with pytest.raises(CounterspinError, match=f"{message}.*save it as .xlsx"):
         read_files([tmp_path / "run.xls"])

@@ -74,9 +74,9 @@ def test_waves_without_axis_or_angle_have_unknown_test(unit):
 def test_missing_answers_are_counted_as_answers():
     time = np.arange(400) * 0.05
     columns = {"t": time, "th": 180.0 * time % 360.0, "E": 2.5 * np.cos(np.pi * time)}
-    found = make_draft([contents_of(columns, {"t": "s"})], {}, "double-turntable")
+    draft = make_draft([contents_of(columns, {"t": "s"})], {}, "double-turntable")
     with pytest.raises(CampaignError, match=r"init: \d answers are still needed\n  gravity: "):
-        found.complete()
+        draft.complete()
 
 
 def test_file_of_unknown_test_is_not_asked_for_radius(tmp_path, capsys):

@@ -40,14 +40,14 @@ def write_log(folder, values):
 def test_log_without_header_and_time_is_understood(tmp_path, values):
     looks = read_files([write_log(tmp_path, values)])
     assert guess_test(looks) == "poses"
-    found = make_draft(looks, ANSWERS, "poses")
-    assert found.open_questions == []
-    assert found.column_names == ("column 1", "column 2", "column 3")
+    draft = make_draft(looks, ANSWERS, "poses")
+    assert draft.open_questions == []
+    assert draft.column_names == ("column 1", "column 2", "column 3")
     assert any(
         statement.startswith("12 poses in imu.log: rest intervals of at least")
-        for statement in found.statements
+        for statement in draft.statements
     )
-    document = found.make_document(tmp_path / "camp")
+    document = draft.make_document(tmp_path / "camp")
     assert document["records"] == {"time": {"sampling_rate": "100 Hz"}}
     assert document["triad"] == {"accelerometers": ["X", "Y", "Z"]}
     # A noise of 0.02 m/s^2 at 100 Hz is 0.3 mg/Hz^0.5.
@@ -66,7 +66,7 @@ def test_log_without_header_and_time_is_understood(tmp_path, values):
             "poses": {"rest": "1.5 s"},
         }
     ]
-    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    campaign = read_campaign(write_description(draft, tmp_path / "camp"))
     assert campaign.triad is not None
 
 
@@ -79,11 +79,11 @@ def test_temperature_column_determines_slopes(tmp_path):
     rows = np.column_stack([truth.time, values, np.round(warm, 1)])
     names = "t_s,ax,ay,az,Temp (°C)"
     np.savetxt(tmp_path / "imu.csv", rows, "%.5f", ",", header=names, comments="", encoding="utf-8")
-    found = make_draft(read_files([tmp_path / "imu.csv"]), PLACE, "poses")
-    assert "temperature: column 'Temp (°C)', in degC" in found.statements
-    document = found.make_document(tmp_path)
+    draft = make_draft(read_files([tmp_path / "imu.csv"]), PLACE, "poses")
+    assert "temperature: column 'Temp (°C)', in degC" in draft.statements
+    document = draft.make_document(tmp_path)
     assert document["records"]["temperature"] == {"column": "Temp (°C)", "unit": "degC"}
-    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    campaign = read_campaign(write_description(draft, tmp_path / "camp"))
     slopes = campaign.change(
         {"model": {"terms": ["K_F", "K_I", "delta_O", "delta_P", "K_F.temperature"]}}
     )
@@ -175,16 +175,16 @@ def write_raw(file, values, *, counts=415.0, middle=MIDDLE):
 def test_counts_with_offset_have_zero_and_sensitivity(tmp_path):
     looks = write_raw(tmp_path / "imu_acc.txt", simulate_poses(4.0, 1.5, count=24).values + BIAS)
     assert guess_test(looks) == "poses"
-    found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
-    assert found.open_questions == []
-    document = found.make_document(tmp_path / "camp")
+    draft = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
+    assert draft.open_questions == []
+    document = draft.make_document(tmp_path / "camp")
     assert document["records"] == {"time": {"column": "column 1", "unit": "s"}}
     for name, middle, bias in zip("XYZ", MIDDLE, BIAS, strict=True):
         output = document["accelerometers"][name]["output"]
         assert float(output["sensitivity"].split()[0]) == pytest.approx(415.0 * 9.81, rel=0.02)
         # Four digits of it, and sensitivities that are not alike.
         assert float(output["zero"].split()[0]) == pytest.approx(middle + 415.0 * bias, abs=60.0)
-    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    result = calibrate(read_campaign(write_description(draft, tmp_path / "camp")))
     assert result.state == "good"
     for name, middle, bias in zip("XYZ", MIDDLE, BIAS, strict=True):
         read = result.accelerometers[name].output["bias"]
@@ -221,12 +221,12 @@ def test_separate_files_are_poses(tmp_path):
         pl.DataFrame(columns | {"z": noisy[:, 2]}).write_csv(files[-1])
     looks = read_files(files)
     assert guess_test(looks) == "poses"
-    found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
+    draft = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
     assert any(
         statement.startswith("16 poses in 16 files: rest intervals")
-        for statement in found.statements
+        for statement in draft.statements
     )
-    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    result = calibrate(read_campaign(write_description(draft, tmp_path / "camp")))
     assert len(result.triad.poses) == 16
     for name, bias in zip("XYZ", BIAS, strict=True):
         c = result.accelerometers[name].coefficients["K_F"]
@@ -246,10 +246,10 @@ def test_table_rows_are_poses(tmp_path, unit, size):
     pl.DataFrame(columns).write_csv(tmp_path / "poses.csv")
     looks = read_files([tmp_path / "poses.csv"])
     assert guess_test(looks) == "poses"
-    found = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
-    assert [question.key for question in found.open_questions] == []
-    assert "24 poses, one per row; the attitudes are unknown" in found.statements
-    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    draft = make_draft(looks, {"gravity": "9.81 m/s^2", "latitude": "52 deg"}, "poses")
+    assert [question.key for question in draft.open_questions] == []
+    assert "24 poses, one per row; the attitudes are unknown" in draft.statements
+    result = calibrate(read_campaign(write_description(draft, tmp_path / "camp")))
     assert len(result.triad.poses) == 24
     for name, own, bias in zip("XYZ", (1.01, 0.99, 1.0), BIAS, strict=True):
         c, b = (result.accelerometers[name].output[key] for key in ("scale_factor", "bias"))
@@ -340,9 +340,9 @@ def test_logger_layouts_are_understood(tmp_path, name):
     (tmp_path / "log.csv").write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
     looks = read_files([tmp_path / "log.csv"])
     assert guess_test(looks) == "poses"
-    found = make_draft(looks, PLACE, "poses")
-    assert found.column_names == axes
-    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    draft = make_draft(looks, PLACE, "poses")
+    assert draft.column_names == axes
+    campaign = read_campaign(write_description(draft, tmp_path / "camp"))
     assert len(calibrate(campaign).triad.poses) == 12
 
 
@@ -371,12 +371,12 @@ def test_unnamed_time_after_row_counter_is_found(tmp_path, values):
 
 def test_one_second_rests_are_found(tmp_path):
     truth = simulate_poses(1.0, 0.6, 20)
-    found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
+    draft = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
     assert any(
         statement.startswith("20 poses in log.csv: rest intervals of at least 0.5 s")
-        for statement in found.statements
+        for statement in draft.statements
     )
-    assert found.make_document(tmp_path)["runs"][0]["poses"] == {"rest": "0.5 s"}
+    assert draft.make_document(tmp_path)["runs"][0]["poses"] == {"rest": "0.5 s"}
 
 
 def test_short_poses_after_long_rest_are_found(tmp_path):
@@ -393,9 +393,9 @@ def test_short_poses_after_long_rest_are_found(tmp_path):
     values += 0.02 * rng.normal(size=values.shape) + BIAS
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), values)
     assert make_poses_draft(looks, {"rest": "1.5 s"}).triad.means.shape[0] < 20
-    found = make_draft(looks, PLACE, "poses")
-    assert found.triad.means.shape[0] == 30
-    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    draft = make_draft(looks, PLACE, "poses")
+    assert draft.triad.means.shape[0] == 30
+    result = calibrate(read_campaign(write_description(draft, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
         one = result.accelerometers[name].coefficients["K_F"]
         assert abs(one.value - bias / 9.81) < 4.0 * one.u
@@ -409,20 +409,20 @@ def test_axes_are_ordered_by_name(tmp_path, values):
         for k, (x, y, z) in zip(time, values, strict=True)
     ]
     (tmp_path / "log.csv").write_text("time,seconds_elapsed,z,y,x\n" + "".join(rows))
-    found = make_draft(read_files([tmp_path / "log.csv"]), PLACE, "poses")
-    assert found.column_names == ("x", "y", "z")
-    assert len(calibrate(write_description(found, tmp_path / "camp").parent).triad.poses) == 12
+    draft = make_draft(read_files([tmp_path / "log.csv"]), PLACE, "poses")
+    assert draft.column_names == ("x", "y", "z")
+    assert len(calibrate(write_description(draft, tmp_path / "camp").parent).triad.poses) == 12
 
 
 def test_irregular_rows_of_phone_are_read(tmp_path, values):
     kept = np.sort(np.random.default_rng(3).permutation(len(values))[: len(values) * 2 // 3])
     looks = write_rows(tmp_path, kept, values[kept], "timestamp_ms,ax,ay,az")
-    told = {"time unit": "s"}  # 1 s for 10 ms
-    assert make_poses_draft(looks, PLACE | told).guesses[0].time.column == "timestamp_ms"
+    answers = {"time unit": "s"}  # 1 s for 10 ms
+    assert make_poses_draft(looks, PLACE | answers).guesses[0].time.column == "timestamp_ms"
     looks = write_rows(tmp_path, 0.01 * kept, values[kept], "Time (s),ax,ay,az")
-    found = make_draft(looks, PLACE, "poses")
-    assert found.open_questions == []
-    assert found.triad.means.shape[0] == 12
+    draft = make_draft(looks, PLACE, "poses")
+    assert draft.open_questions == []
+    assert draft.triad.means.shape[0] == 12
 
 
 def test_stepwise_clock_is_not_time(tmp_path, values):
@@ -468,12 +468,12 @@ def faces(count, tilt=0.005, seed=6):
 
 def test_six_faces_set_twice_do_not_determine_angles(tmp_path):
     """Only products of tilts would determine an angle, so it is undetermined."""
-    found = make_draft(write_rows(tmp_path, *faces(13)), PLACE, "poses")
-    assert found.make_document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
+    draft = make_draft(write_rows(tmp_path, *faces(13)), PLACE, "poses")
+    assert draft.make_document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
     assert any(
-        "poses near the six faces do not determine the angles" in s for s in found.statements
+        "poses near the six faces do not determine the angles" in s for s in draft.statements
     )
-    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    result = calibrate(read_campaign(write_description(draft, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
         own = result.accelerometers[name].coefficients
         assert abs(own["K_F"].value - bias / 9.81) < 4.0 * own["K_F"].u
@@ -484,10 +484,10 @@ def test_six_faces_set_twice_do_not_determine_angles(tmp_path):
 def test_measured_six_faces_match_sums_and_differences(tmp_path):
     """Half the sum and half the difference of opposite faces tell the same, but for their tilts."""
     answers = {"gravity": "9.8066 m/s^2", "latitude": "49.6 deg", "sampling_rate": "204.8 Hz"}
-    found = make_draft(read_files([REAL / "session.csv"]), answers, "poses")
-    assert found.column_names == ("acc_x", "acc_y", "acc_z")
-    assert found.make_document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
-    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    draft = make_draft(read_files([REAL / "session.csv"]), answers, "poses")
+    assert draft.column_names == ("acc_x", "acc_y", "acc_z")
+    assert draft.make_document(tmp_path)["model"] == {"terms": ["K_F", "K_I"]}
+    result = calibrate(read_campaign(write_description(draft, tmp_path / "camp")))
     assert result.state == "good" or {f.code for f in result.findings} == {"unjudged-readings"}
     rows = np.loadtxt(REAL / "session.csv", delimiter=",", skiprows=1)[:, 4:7] / 9.8066
     sections = json.loads((REAL / "sections.json").read_text())
@@ -511,8 +511,8 @@ def test_six_faces_require_stated_uncertainty(tmp_path, in_table):
     (open_question,) = make_draft(looks, PLACE, "poses").open_questions
     assert open_question.key == "u"
     assert "cannot be estimated from only 6 poses" in open_question.text
-    found = make_draft(looks, PLACE | {"u": "0.003 m/s^2", "grade": "consumer"}, "poses")
-    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    draft = make_draft(looks, PLACE | {"u": "0.003 m/s^2", "grade": "consumer"}, "poses")
+    result = calibrate(read_campaign(write_description(draft, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
         k_f = result.accelerometers[name].coefficients["K_F"]
         assert abs(k_f.value - bias / 9.81) < 4.0 * k_f.u
@@ -539,12 +539,12 @@ def test_unsigned_numbers_raise(tmp_path, values):
 def test_second_sensor_in_file_is_reported(tmp_path, values):
     both = np.column_stack([values, 1.02 * values + 0.05])
     looks = write_rows(tmp_path, 0.01 * np.arange(len(values)), both, "t,a1,a2,a3,b1,b2,b3")
-    found = make_draft(looks, PLACE, "poses")
-    assert found.column_names == ("a1", "a2", "a3")
+    draft = make_draft(looks, PLACE, "poses")
+    assert draft.column_names == ("a1", "a2", "a3")
     assert (
         "three further axes are at rest at the same times. They belong to a second sensor and "
         "are not used; to calibrate that sensor, answer X=b1, Y=b2, Z=b3"
-    ) in found.statements
+    ) in draft.statements
     other = make_draft(looks, PLACE | {"X": "b1", "Y": "b2", "Z": "b3"}, "poses")
     assert other.column_names == ("b1", "b2", "b3")
 
@@ -559,13 +559,13 @@ def test_words_between_numbers_raise(tmp_path):
 def test_nine_poses_have_model_of_bias_and_scale_factor(tmp_path, count):
     truth = simulate_poses(4.0, 1.0, count, noise=0.01, seed=4)
     looks = write_rows(tmp_path, truth.time, truth.values + BIAS)
-    found = make_draft(looks, PLACE | {"grade": "consumer"}, "poses")
+    draft = make_draft(looks, PLACE | {"grade": "consumer"}, "poses")
     few = count == 9
-    assert found.make_document(tmp_path).get("model") == (
+    assert draft.make_document(tmp_path).get("model") == (
         {"terms": ["K_F", "K_I"]} if few else None
     )
-    assert any("nine poses or fewer" in statement for statement in found.statements) is few
-    result = calibrate(read_campaign(write_description(found, tmp_path / "camp")))
+    assert any("nine poses or fewer" in statement for statement in draft.statements) is few
+    result = calibrate(read_campaign(write_description(draft, tmp_path / "camp")))
     for name, bias in zip("XYZ", BIAS, strict=True):
         k_f = result.accelerometers[name].coefficients["K_F"]
         assert abs(k_f.value - bias / 9.81) < 4.0 * k_f.u
@@ -574,8 +574,8 @@ def test_nine_poses_have_model_of_bias_and_scale_factor(tmp_path, count):
 def test_stated_uncertainty_of_poses_is_used(tmp_path):
     """Nine poses have no degree of freedom left beside nine parameters: u is the stated one's."""
     truth = simulate_poses(4.0, 1.0, 9, noise=0.01, seed=8)
-    found = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
-    document = found.make_document(tmp_path / "camp")
+    draft = make_draft(write_rows(tmp_path, truth.time, truth.values + BIAS), PLACE, "poses")
+    document = draft.make_document(tmp_path / "camp")
     document["model"] = {"terms": ["K_F", "K_I", "delta_O", "delta_P"], "assume": "all"}
     u = {}
     for stated in (0.01, 0.02):

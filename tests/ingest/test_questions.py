@@ -34,7 +34,7 @@ def test_answer_spellings_are_accepted(question, answer, meaning):
 
 
 @pytest.mark.parametrize(
-    ("question", "answer", "told"),
+    ("question", "answer", "message"),
     [
         (GRAVITY, "9.8 m", "acceleration"),
         (RATE, "30", "has no unit"),  # revolutions a minute as likely as degrees a second
@@ -45,8 +45,8 @@ def test_answer_spellings_are_accepted(question, answer, meaning):
         (COUNTS, "inf", "not a positive number"),
     ],
 )
-def test_invalid_answers_raise(question, answer, told):
-    with pytest.raises(ValueError, match=told):
+def test_invalid_answers_raise(question, answer, message):
+    with pytest.raises(ValueError, match=message):
         question.parse_answer(answer)
 
 

@@ -18,8 +18,8 @@ DIRECTIONS = {"east": 0.0, "north": np.pi / 2, "west": np.pi, "south": -np.pi / 
 
 def draft_and_questions(path, **answers):
     """Return the draft and the keys of the open questions."""
-    said = PLACE | {key.replace("_", " "): answer for key, answer in answers.items()}
-    turntable_draft = make_turntable_draft(read_files([path]), said)
+    all_answers = PLACE | {key.replace("_", " "): answer for key, answer in answers.items()}
+    turntable_draft = make_turntable_draft(read_files([path]), all_answers)
     return turntable_draft, [question.key for question in turntable_draft.open_questions]
 
 
@@ -38,10 +38,10 @@ def write_circle(path, first, second, *, sense=1.0, sizes=(2.5, 2.5), forward=1.
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("mm", 1e3), ("cm", 1e2)])
 def test_radius_determines_unit_of_displacement(tmp_path, unit, factor):
     path = write_circle(tmp_path / "run.csv", "east", "north", sizes=(2.5 * factor, 2.51 * factor))
-    told = {"a is": "displacement", "b is": "displacement"}
-    and_questions, needed = draft_and_questions(path, **told)
+    answers = {"a is": "displacement", "b is": "displacement"}
+    and_questions, needed = draft_and_questions(path, **answers)
     assert {"a unit", "b unit"} <= set(needed)
-    and_questions, needed = draft_and_questions(path, radius="2.5 m", **told)
+    and_questions, needed = draft_and_questions(path, radius="2.5 m", **answers)
     assert {"a unit", "b unit"}.isdisjoint(needed)
     assert [signal.unit for signal in and_questions.common_guess.signals] == [unit, unit]
     assert (
@@ -51,7 +51,7 @@ def test_radius_determines_unit_of_displacement(tmp_path, unit, factor):
 
 
 @pytest.mark.parametrize(
-    ("what", "size", "unit"),
+    ("observable", "size", "unit"),
     [
         ("velocity", 2.5 * RATE, "m/s"),
         ("velocity", 2500.0 * RATE, "mm/s"),
@@ -59,9 +59,11 @@ def test_radius_determines_unit_of_displacement(tmp_path, unit, factor):
         ("specific_force", 2.5 * RATE**2 / 9.80665, "g"),
     ],
 )
-def test_radius_and_rate_determine_unit_of_velocity_or_force(tmp_path, what, size, unit):
+def test_radius_and_rate_determine_unit_of_velocity_or_force(tmp_path, observable, size, unit):
     path = write_circle(tmp_path / "run.csv", "east", "north", sizes=(size, size))
-    and_questions, _ = draft_and_questions(path, radius="2.5 m", **{"a is": what, "b is": what})
+    and_questions, _ = draft_and_questions(
+        path, radius="2.5 m", **{"a is": observable, "b is": observable}
+    )
     assert [signal.unit for signal in and_questions.common_guess.signals] == [unit, unit]
 
 
@@ -79,23 +81,23 @@ def test_unit_of_implausible_amplitude_is_asked(tmp_path):
 @pytest.mark.parametrize("forward", [1.0, -1.0])
 def test_sense_and_one_axis_determine_other_axis(tmp_path, first, second, sense, forward):
     path = write_circle(tmp_path / "run.csv", first, second, sense=sense, forward=forward)
-    told = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
+    answers = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
     word = {1.0: "counterclockwise", -1.0: "clockwise"}[sense]
-    and_questions, needed = draft_and_questions(path, **told, sense=word)
+    and_questions, needed = draft_and_questions(path, **answers, sense=word)
     assert needed == ["a axis", "b axis"]
-    and_questions, needed = draft_and_questions(path, **told, sense=word, **{"a axis": first})
+    and_questions, needed = draft_and_questions(path, **answers, sense=word, **{"a axis": first})
     assert needed == []
     assert [signal.axis for signal in and_questions.common_guess.signals] == [first, second]
 
 
 def test_sense_contradicting_waves_is_reported(tmp_path):
     path = write_circle(tmp_path / "run.csv", "east", "north")
-    told = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
+    answers = {"a is": "displacement", "b is": "displacement", "radius": "2.5 m"}
     axes = {"a axis": "east", "b axis": "north"}
-    and_questions, _ = draft_and_questions(path, **told, **axes, sense="clockwise")
+    and_questions, _ = draft_and_questions(path, **answers, **axes, sense="clockwise")
     (problem,) = and_questions.problems
     assert problem.startswith(
         "sense: the periodic signals of two axes show that the angle increases counterclock"
     )
-    and_questions, _ = draft_and_questions(path, **told, **axes, sense="counterclockwise")
+    and_questions, _ = draft_and_questions(path, **answers, **axes, sense="counterclockwise")
     assert and_questions.problems == ()

@@ -99,11 +99,11 @@ def test_single_role_column_is_unique_and_answers_take_precedence():
     parts = {"position": "a"}
     words = {"No": "name", "note": "unused"}
     assert roles() == {**words, "a": "position", "b": "reading", "c": "reading"}
-    told = {"b is": "position"}
-    assert roles(**told) == {**words, "a": "unused", "b": "position", "c": "reading"}
-    told = {"position": "c", "b is": "time", "note is": "name", "No is": "unused"}
+    answers = {"b is": "position"}
+    assert roles(**answers) == {**words, "a": "unused", "b": "position", "c": "reading"}
+    answers = {"position": "c", "b is": "time", "note is": "name", "No is": "unused"}
     expected = {"No": "unused", "note": "name", "a": "unused", "b": "time", "c": "position"}
-    assert roles(**told) == expected
+    assert roles(**answers) == expected
     assert "position" not in roles(position="none").values()
 
 

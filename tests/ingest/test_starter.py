@@ -110,8 +110,8 @@ def test_existing_description_is_not_overwritten(tmp_path):
 
 def test_folder_that_cannot_be_created_raises(tmp_path):
     (tmp_path / "file").write_text("x", encoding="utf-8")
-    for name, told in (("file", "is a file"), ("file/below", "cannot be created")):
-        with pytest.raises(CounterspinError, match=told):
+    for name, message in (("file", "is a file"), ("file/below", "cannot be created")):
+        with pytest.raises(CounterspinError, match=message):
             init(tmp_path / name)
 
 

@@ -114,16 +114,16 @@ def test_workbook_with_title_and_units_is_understood(tmp_path):
 def test_missing_information_is_asked(tmp_path):
     rows = [row[1:3] for row in make_rows()]
     path = write_table(tmp_path / "t.csv", rows, ("a", "b"), ("", ""))
-    found = make_draft(read_files([path]), {}, "tumble")
-    keys = [question.key for question in found.open_questions]
+    draft = make_draft(read_files([path]), {}, "tumble")
+    keys = [question.key for question in draft.open_questions]
     assert keys == ["gravity", "latitude", "position", "axis at 0", "a unit", "b unit"]
     answers = ANSWERS | {"position": "a", "b unit": "mA"}
-    found = make_draft(read_files([path]), answers, "tumble")
-    (last,) = found.open_questions
+    draft = make_draft(read_files([path]), answers, "tumble")
+    (last,) = draft.open_questions
     assert last.key == "b sensitivity"
     assert "The data suggest about 1.25 mA/g." in last.text
     with raises("missing-answer", "b sensitivity:"):
-        found.make_document(tmp_path)
+        draft.make_document(tmp_path)
 
 
 def test_table_without_readings_raises(tmp_path):

@@ -58,9 +58,9 @@ def test_good_record_of_poses_has_no_remark(tmp_path):
     assert checked.run.poses.threshold == result.triad.records["all"].threshold
     assert checked.run.poses.rms == pytest.approx(result.triad.rms_after, rel=1e-3)
     assert len(checked.reached) == 9
-    for found in checked.reached:
-        own = result.coefficient(found.name)
-        assert (found.value, found.u) == (own.value, own.u)
+    for goal in checked.reached:
+        own = result.coefficient(goal.name)
+        assert (goal.value, goal.u) == (own.value, own.u)
 
 
 @pytest.mark.parametrize("lowest", [0.25, -0.3])

@@ -24,8 +24,8 @@ def deviation_from_truth(fit, times, true):
     """Fit the true coefficients to the true angle; return their deviation and the residual."""
     functions = fit.error.functions(times)[0]
     apart = true - fit.spindle.angle(times)
-    found = np.linalg.lstsq(functions, apart, rcond=None)[0]
-    return found, np.max(np.abs(apart - functions @ found))
+    solution = np.linalg.lstsq(functions, apart, rcond=None)[0]
+    return solution, np.max(np.abs(apart - functions @ solution))
 
 
 @pytest.mark.parametrize("revolutions", [1.4, 14.0])

@@ -123,8 +123,8 @@ def test_script_reproduces_reference_file(reference_script):
     stored = CASES["drift and ripple"]
     case = next(c for c in reference_script.CASES if c["label"] == stored["label"])
     single, double = reference_script.integrals({**case, "times": case["times"][:1]})
-    made = {"velocity": single[0], "displacement": double[0]}
-    for observable, values in made.items():
+    arrays = {"velocity": single[0], "displacement": double[0]}
+    for observable, values in arrays.items():
         for (name, key), value in zip(reference_script.names(platform=False), values, strict=True):
             assert mpmath.almosteq(
                 value, mpmath.mpf(stored[observable][name][key][0]), 1e-21, 1e-29
@@ -252,13 +252,13 @@ def test_nonlinear_simulation_differs_from_columns_by_second_order(mounting, att
     left = []
     for place, size in enumerate(sizes):
         weights = np.array([sets[place][s] for s in SYMBOLS])
-        rest = [
+        remainder = [
             e[place] - linear[order] @ weights
             for e, order in zip(simulated, ("displacement", "velocity"), strict=True)
         ]
         size_of_first_order = (np.abs(linear["displacement"]) @ np.abs(weights)).max()
-        assert np.abs(rest[0]).max() < 20 * size * size_of_first_order
-        left.append(np.array(rest))
+        assert np.abs(remainder[0]).max() < 20 * size * size_of_first_order
+        left.append(np.array(remainder))
     # Halving every coefficient quarters what the columns leave: nothing of first order remains.
     np.testing.assert_allclose(left[0] / left[1], 4.0, rtol=0.02)
 
@@ -504,7 +504,7 @@ def test_cached_columns_are_distinguished_by_all_arguments():
     site = Site(9.8, 0.8)
     level, turned = np.eye(3), np.eye(3)[[1, 2, 0]]
     spindles = [Spindle(2.0), Spindle(2.0, start_angle=0.1), Spindle(2.0, 1e-5)]
-    asked = [
+    argument_sets = [
         (Trajectory(spindle, radius, site), axes, symbols, observable, attitude)
         for spindle in spindles
         for radius in (2.5, 2.6)
@@ -514,9 +514,9 @@ def test_cached_columns_are_distinguished_by_all_arguments():
         for symbols in (["K_II", "K_OO"], ["K_III", "K_II", "platform.drift.east"])
     ]
     times = np.linspace(0.0, 20.0, 60)
-    together = [columns(t, a, s, times, o, attitude=c) for t, a, s, o, c in asked]
+    together = [columns(t, a, s, times, o, attitude=c) for t, a, s, o, c in argument_sets]
     for found, (trajectory, axes, symbols, observable, attitude) in zip(
-        together, asked, strict=True
+        together, argument_sets, strict=True
     ):
         kept, turning = observation._short_integrals, motion._cached_spindle_state
         kept.cache_clear(), turning.cache_clear()

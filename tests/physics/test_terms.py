@@ -128,12 +128,12 @@ def test_platform_terms_cover_three_axes_and_nine_pairs():
         expected[f"table.harmonic.{n}.{wave}"] = ("table", 2, None, "rad", False)
     for i, name in enumerate(["outward", "forward"]):
         expected[f"table.axis_tilt.{name}"] = ("table_axis", i, None, "rad", False)
-    found = {
+    properties = {
         s: (turn.kind, turn.axis, turn.force_axis, row.unit, row.per_run)
         for s, row in PLATFORM_TERMS.items()
         if (turn := row.effect)
     }
-    assert found == expected
+    assert properties == expected
     assert not any(row.per_run for row in TERMS.values())
 
 

@@ -60,7 +60,7 @@ def coefficient_index(prediction, name="Qx.K_II"):
 def fault_of_symbol(prediction, symbol):
     """Return the effect of a fault with this symbol on the campaign."""
     responses = fault_sensitivities(prediction, possible_faults(prediction.campaign, "Qx"))
-    return next(one for one in responses if one.fault.symbol == symbol)
+    return next(response for response in responses if response.fault.symbol == symbol)
 
 
 def simulate_fault_signal(fault_of_symbol, series):
@@ -157,10 +157,10 @@ def test_columns_match_derivatives_of_motion(phase, changes, mounting, predict):
         return (place(radius, behind) - place(radius, ahead)) / 2e-3
 
     time = series.time[:400]
-    for one, position in ((IMBALANCE, imbalanced), (ECCENTRICITY, eccentric)):
+    for fault, position in ((IMBALANCE, imbalanced), (ECCENTRICITY, eccentric)):
         expected = derivatives(position, time, ORDERS[series.observable])
-        shown = simulate_fault_signal(one, series)[:400, phase]
-        assert np.abs(shown - expected).max() < 1e-4 * np.abs(expected).max(), one.symbol
+        shown = simulate_fault_signal(fault, series)[:400, phase]
+        assert np.abs(shown - expected).max() < 1e-4 * np.abs(expected).max(), fault.symbol
 
 
 def test_stretch_equals_radius_change_per_rate(predict):
@@ -183,7 +183,7 @@ def test_stretch_equals_radius_change_per_rate(predict):
 def predict_harmonic_share(prediction):
     place = coefficient_index(prediction)
     responses = fault_sensitivities(prediction, [mean_square_fault("Qx"), square_term_fault("Qx")])
-    mean, whole = (one.shifts[place, 0] for one in responses)
+    mean, whole = (response.shifts[place, 0] for response in responses)
     return 1.0 - mean / whole
 
 

@@ -41,9 +41,9 @@ def test_eccentricity_and_imbalance_increase_u_by_5_percent(write_starter):
     paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
     responses = fault_sensitivities(prediction, [path_fault(symbol) for symbol in paths])
     sizes = {line.words: line.size for line in planned.result.requirements}
-    for one, words in zip(responses, ("encoder error", "imbalance"), strict=True):
+    for response, words in zip(responses, ("encoder error", "imbalance"), strict=True):
         size = next(size for key, size in sizes.items() if words in key)
-        added = one.unit_shift(place) * size / prediction.u["Qx.K_II"]
+        added = response.unit_shift(place) * size / prediction.u["Qx.K_II"]
         assert 1.0 + added**2 == pytest.approx(1.05**2, rel=1e-9)
     # A second of arc would be far too much, where a force is recorded.
     assert responses[0].shift(place) > 10.0 * prediction.u["Qx.K_II"]

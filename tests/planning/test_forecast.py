@@ -102,17 +102,17 @@ def test_forecast_matches_calibration_of_records(model, timing, tmp_path):
         ('K_III = "3e-6 g/g^3"\n', ""),
     )
     simulate(write_description(tmp_path, text), tmp_path / "simulated")
-    told = forecast(tmp_path / "simulated").u
+    u = forecast(tmp_path / "simulated").u
     for name, accelerometer in calibrate(tmp_path / "simulated").accelerometers.items():
         for symbol, c in accelerometer.coefficients.items():
             if c.estimated:
-                assert c.u == pytest.approx(told[f"{name}.{symbol}"], rel=0.01)
+                assert c.u == pytest.approx(u[f"{name}.{symbol}"], rel=0.01)
 
 
 def test_forecast_does_not_depend_on_velocity_feedback(tmp_path):
     """What it took off is put back, noise included: a forecast, or a study, need not know of it."""
     walk = 'acceleration = "1e-5 g/Hz^0.5"\n'
-    calibrated, told = [], []
+    calibrated, predicted = [], []
     for reference in ("platform", "own velocity"):
         folder = tmp_path / reference
         text = replace_parts(
@@ -123,15 +123,15 @@ def test_forecast_does_not_depend_on_velocity_feedback(tmp_path):
         )
         simulate(write_description(folder, text), folder)
         calibrated.append(calibrate(folder))
-        told.append(forecast(folder).u)
-    assert told[0] == told[1]
+        predicted.append(forecast(folder).u)
+    assert predicted[0] == predicted[1]
     given, own = (result.accelerometers for result in calibrated)
     for name, accelerometer in given.items():
         for symbol in ("K_F", "K_II", "K_III"):
             c, other = accelerometer.coefficients[symbol], own[name].coefficients[symbol]
             assert other.value != c.value
             assert other.value == pytest.approx(c.value, abs=0.01 * c.u)
-            assert other.u == pytest.approx(told[1][f"{name}.{symbol}"], rel=5e-3)
+            assert other.u == pytest.approx(predicted[1][f"{name}.{symbol}"], rel=5e-3)
 
 
 def test_forecast_repr_has_line_per_coefficient(tmp_path):

@@ -135,13 +135,13 @@ def runs_of(design):
 @pytest.mark.parametrize("types", [ONE, BOTH], ids=["one sense", "both"])
 def test_optimum_satisfies_equivalence_theorem(predictor, criterion, types):
     limits = replace(DAY, types=types)
-    support, found = relax(predictor, limits, criterion)
+    support, optimum = relax(predictor, limits, criterion)
     rows = predictor.information.blocks(*runs_of(support))
-    weighted = (rows * np.sqrt(found.design)[:, None, None]).reshape(-1, predictor.p)
+    weighted = (rows * np.sqrt(optimum.design)[:, None, None]).reshape(-1, predictor.p)
     information = weighted.T @ weighted + predictor.prior.T @ predictor.prior
     scale = np.sqrt(np.diag(information))
     inverse = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
-    assert criterion.value(inverse) == pytest.approx(found.value, abs=1e-6)
+    assert criterion.value(inverse) == pytest.approx(optimum.value, abs=1e-6)
     v = inverse @ criterion.directions(inverse)
 
     def gain_and_cost(kinds, rate, turns):
@@ -159,9 +159,9 @@ def test_optimum_satisfies_equivalence_theorem(predictor, criterion, types):
     total = np.array([limits.total_time, limits.max_runs])
     prices = linprog(total, A_ub=-np.column_stack([cost, np.ones_like(cost)]), b_ub=-gain)
     at_plan, _ = gain_and_cost(*runs_of(support))
-    assert prices.fun == pytest.approx(float(at_plan @ found.design), abs=4e-3)
-    assert prices.x[1] == pytest.approx(found.shadow_price, abs=4e-3 / limits.max_runs)
-    assert found.bound <= found.value + 1e-9
+    assert prices.fun == pytest.approx(float(at_plan @ optimum.design), abs=4e-3)
+    assert prices.x[1] == pytest.approx(optimum.shadow_price, abs=4e-3 / limits.max_runs)
+    assert optimum.bound <= optimum.value + 1e-9
 
 
 def test_d_optimal_gain_is_coefficient_count():
@@ -176,10 +176,10 @@ def test_d_optimal_gain_is_coefficient_count():
         max_runs=10,
         min_revolutions=10.0,
     )
-    _, found = relax(predictor, limits, Criterion((0, 1, 2), (1.0, 1.0, 1.0), "determinant"))
+    _, optimum = relax(predictor, limits, Criterion((0, 1, 2), (1.0, 1.0, 1.0), "determinant"))
     # The criterion is half the logarithm per coefficient: ten runs gain a half in all.
-    assert found.shadow_price * limits.max_runs == pytest.approx(0.5, rel=1e-3)
-    assert float(found.design.sum()) == pytest.approx(limits.max_runs)
+    assert optimum.shadow_price * limits.max_runs == pytest.approx(0.5, rel=1e-3)
+    assert float(optimum.design.sum()) == pytest.approx(limits.max_runs)
 
 
 # The search

@@ -7,7 +7,7 @@ from counterspin.planning.result import GoalResult
 
 
 @pytest.mark.parametrize(
-    ("kind", "efficiency", "timed", "told"),
+    ("kind", "efficiency", "timed", "message"),
     [
         ("minimise", 1.0, True, "No plan within these limits is more than 0.05 % better."),
         ("minimise", 0.9, True, "can reduce the uncertainty by more than 10 %"),
@@ -18,6 +18,6 @@ from counterspin.planning.result import GoalResult
         ("target", None, True, "because no bound is known"),
     ],
 )
-def test_optimality_sentence_states_possible_gain(kind, efficiency, timed, told):
+def test_optimality_sentence_states_possible_gain(kind, efficiency, timed, message):
     goal = GoalResult(kind=kind, criterion="sum", sizes={"Qx.K_II": 1.0}, efficiency=efficiency)
-    assert told in _optimality_sentence(goal, timed)
+    assert message in _optimality_sentence(goal, timed)

@@ -177,10 +177,10 @@ def test_calibration_matches_forecast_of_plan(changes, plan_starter, tmp_path):
     promised = planned.result.accelerometers["Qx"].coefficients | planned.result.platform
     coefficients = result.accelerometers["Qx"].coefficients | result.platform
     assert set(promised) == set(coefficients)
-    for symbol, one in promised.items():
-        assert one.estimated == coefficients[symbol].estimated, symbol
-        if one.estimated:
-            assert coefficients[symbol].u == pytest.approx(one.u, rel=0.05), symbol
+    for symbol, coefficient in promised.items():
+        assert coefficient.estimated == coefficients[symbol].estimated, symbol
+        if coefficient.estimated:
+            assert coefficients[symbol].u == pytest.approx(coefficient.u, rel=0.05), symbol
 
 
 def figures_of_the_page():
@@ -319,14 +319,14 @@ def test_search_prediction_matches_forecast(words, changes, write_starter):
         rate = rng.uniform(*search.limits.rate_range, runs)
         duration = np.round(rng.uniform(5.0, 20.0, runs) * 2.0 * math.pi / rate, 9)
         design = search.order_runs(Design(types, rate, duration * rate / (2.0 * math.pi)))
-        told = forecast(search.campaign(design)).u
+        actual_u = forecast(search.campaign(design)).u
         predicted = dict(zip(search.predictor.names, search.predictor.u(design), strict=True))
         # Nothing has changed from run to run if there is only one.
-        told = {name: told.get(name, u) for name, u in predicted.items()}
+        actual_u = {name: actual_u.get(name, u) for name, u in predicted.items()}
         if words == JUMP:
-            asymmetry = predicted.pop("Qx.K_0_asym"), told.pop("Qx.K_0_asym")
+            asymmetry = predicted.pop("Qx.K_0_asym"), actual_u.pop("Qx.K_0_asym")
             assert asymmetry[0] == pytest.approx(asymmetry[1], rel=5e-2)
-        assert predicted == pytest.approx(told, rel=4e-3 if words == JUMP else 2e-4)
+        assert predicted == pytest.approx(actual_u, rel=4e-3 if words == JUMP else 2e-4)
 
 
 def test_forecast_uses_all_samples_of_dense_records(plan_starter, tmp_path):
@@ -573,8 +573,8 @@ def test_all_errors_are_reported_at_once(write_starter):
 
 def test_missing_file_has_hint(tmp_path, capsys):
     assert cli.main(["plan", str(tmp_path / "none.toml")]) == 2
-    told = capsys.readouterr().err
-    assert "file not found; `counterspin plan --init FILE` writes a starter plan" in told
+    stderr = capsys.readouterr().err
+    assert "file not found; `counterspin plan --init FILE` writes a starter plan" in stderr
 
 
 def test_missing_plan_raises_with_hint(tmp_path):

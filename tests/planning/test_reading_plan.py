@@ -288,7 +288,9 @@ def test_stretch_of_arm_shifts_k_ii(ways, write_plan, tmp_path):
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     prediction = forecast(tmp_path)
     responses = fault_sensitivities(prediction, possible_faults(prediction.campaign, "A"))
-    stretch = next(one for one in responses if one.fault.symbol == "centrifuge.stretch")
+    stretch = next(
+        response for response in responses if response.fault.symbol == "centrifuge.stretch"
+    )
     place = [unknown.name for unknown in prediction.fit.model.unknowns].index("A.K_II")
     shift = stretch.shift(place)
     expected = 4.6e-9 * 9.80665 if len(ways) == 1 else 0.0
@@ -410,13 +412,13 @@ def test_readings_complement_existing_campaign(tmp_path):
     file = tmp_path / "PLAN.toml"
     file.write_text(BESIDE, encoding="utf-8")
     planned = plan(file)
-    told = planned.result.accelerometers["A"].coefficients["K_II"].u
+    actual_u = planned.result.accelerometers["A"].coefficients["K_II"].u
     described = read_reading_plan(file)
     u = [
         forecast(described.campaign(pair), sampling_rate=10.0).u["A.K_II"]
         for pair in combinations_with_replacement(described.candidates, 2)
     ]
-    assert told == pytest.approx(min(u), rel=1e-9)
+    assert actual_u == pytest.approx(min(u), rel=1e-9)
     assert len(planned.result.readings) == 2
     write_plan = write_campaign(planned, tmp_path / "there")
     text = (write_plan if write_plan.is_file() else write_plan / "campaign.toml").read_text("utf-8")

@@ -38,16 +38,18 @@ def test_forecast_of_existing_poses_matches_calibration(tmp_path):
 
 
 def test_further_poses_complement_existing_poses(tmp_path):
-    found = {}
+    u_by_count = {}
     for name, u in (("shown", None), ("stated", NOISE)):
         folder = write_random_poses(tmp_path / name, 24, u)
         file = folder / "campaign.toml"
         file.write_text(file.read_text(encoding="utf-8") + MORE, encoding="utf-8")
-        found[name] = plan(file)
+        u_by_count[name] = plan(file)
     before = PlannedCampaign(check(write_random_poses(tmp_path / "before", 24, NOISE)), "").u[
         "X.K_F"
     ]
-    assert found["stated"].u["X.K_F"] < 0.95 * before
+    assert u_by_count["stated"].u["X.K_F"] < 0.95 * before
     # 24 poses beside 9 unknowns tell their noise to 18 %; three times that is not exceeded.
-    assert found["shown"].u["X.K_F"] == pytest.approx(found["stated"].u["X.K_F"], rel=0.55)
-    assert len(found["shown"].result.readings) == 6
+    assert u_by_count["shown"].u["X.K_F"] == pytest.approx(
+        u_by_count["stated"].u["X.K_F"], rel=0.55
+    )
+    assert len(u_by_count["shown"].result.readings) == 6

@@ -47,11 +47,11 @@ def test_shift_of_two_means_is_their_difference():
     whole = solve_joint(kinds, model, {})
     u = math.hypot(1e-3 / math.sqrt(2.0), 2e-3)
     for kind, other in (("first", 5e-3), ("second", 2e-3)):
-        found = compare_motions(whole)[kind]
-        assert found.without.estimate[0] == pytest.approx(other)
-        assert abs(found.shift[0] / found.u_shift[0]) == pytest.approx(3e-3 / u)
+        comparison = compare_motions(whole)[kind]
+        assert comparison.without.estimate[0] == pytest.approx(other)
+        assert abs(comparison.shift[0] / comparison.u_shift[0]) == pytest.approx(3e-3 / u)
         # Its own scatter, 1e-3 to 3e-3, is no part of it.
-        assert (found.chi2, found.dof) == (pytest.approx((3e-3 / u) ** 2, rel=1e-6), 1)
+        assert (comparison.chi2, comparison.dof) == (pytest.approx((3e-3 / u) ** 2, rel=1e-6), 1)
 
 
 def test_shared_considered_term_cancels_in_shift():

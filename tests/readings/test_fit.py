@@ -62,15 +62,15 @@ def test_fit_converges_with_insensitive_term(seed):
 def test_fit_converges_with_large_considered_terms(seed):
     """Turns of the fixtures look like each other's; what is considered is 100 times the noise."""
     turns = ("inward.up", "outward.up", "inward.forward")
-    first, *rest = (f"fixture.misalignment.{turn}" for turn in turns)
+    first, *other_symbols = (f"fixture.misalignment.{turn}" for turn in turns)
     held = {"K_IP": 9e-7, "K_PO": 2.9e-6, "K_4": 5.5e-10, first: 5e-5}
-    beside = {"delta_O": 3.3e-5, "delta_P": 3.3e-5} | dict.fromkeys(rest, 5e-5)
+    beside = {"delta_O": 3.3e-5, "delta_P": 3.3e-5} | dict.fromkeys(other_symbols, 5e-5)
     tilts = {"centrifuge.axis_tilt.north": 5e-5, "centrifuge.axis_tilt.east": 5e-5}
 
     def owner(symbol):
         return "A" if symbol in TERMS else ""
 
-    asked = make_model(
+    model = make_model(
         others=[make_unknown(s, (0.0, u), owner(s)) for s, u in held.items()],
         considered=[make_considered(s, u, owner(s)) for s, u in (beside | tilts).items()],
     )
@@ -82,8 +82,8 @@ def test_fit_converges_with_large_considered_terms(seed):
         make_readings(test, simulate_readings(test, rng, 5e-7, machine, truth=truth), 5e-7)
         for test in (make_tumble(), make_arm_test())
     ]
-    solution = solve_readings(groups, asked).solution
-    wanted = [(truth | machine)[u.symbol] - u.nominal for u in asked.unknowns]
+    solution = solve_readings(groups, model).solution
+    wanted = [(truth | machine)[u.symbol] - u.nominal for u in model.unknowns]
     assert np.all(np.abs(solution.estimate - wanted) < 3.3 * solution.u)
 
 
@@ -110,9 +110,9 @@ def test_head_error_on_double_turntable_equals_error_at_rest():
 def test_terms_undetermined_at_one_g_are_identified():
     """a_I^2 + a_P^2 + a_O^2 = 1 at rest, in whatever attitude."""
     terms = ("K_F", "K_I", "K_II", "K_PP", "K_OO")
-    asked = make_model(terms)
-    fit = solve_readings([make_readings(make_tumble(24), np.zeros(24), SIGMA)], asked)
-    assessment = assess(fit.solution, [u.symbol for u in asked.unknowns])
+    model = make_model(terms)
+    fit = solve_readings([make_readings(make_tumble(24), np.zeros(24), SIGMA)], model)
+    assessment = assess(fit.solution, [u.symbol for u in model.unknowns])
     assert not any(assessment.determined[s] for s in ("K_F", "K_II", "K_PP", "K_OO"))
     assert assessment.determined["K_I"]
 
@@ -142,8 +142,8 @@ def test_noise_matches_likelihood_search_of_records():
         scatter=np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0),
     )
     prior = make_unknown("K_I", (TRUTH["K_I"], 1e-6))
-    asked = make_model(("K_F", "K_II", "delta_O"), [prior])
-    fit = solve_readings([group], asked)
+    model = make_model(("K_F", "K_II", "delta_O"), [prior])
+    fit = solve_readings([group], model)
     part = fit.groups[0].linear
     assert 0.0 < part.noise_share.min() < 0.95
     time, nothing = np.arange(12.0), np.empty((36, 0))
@@ -168,16 +168,16 @@ def test_repeats_and_residuals_determine_noise():
     """
     rng = np.random.default_rng(11)
     stations, mountings, head = make_tumble()
-    asked = make_model(("K_F", "K_I", "delta_O"))
+    model = make_model(("K_F", "K_I", "delta_O"))
     values = [simulate_readings(make_tumble(), rng, SIGMA) for _ in range(5)]
     every = (stations * 5, mountings * 5, np.tile(head, (5, 1)))
-    apart = solve_readings([make_readings(every, np.concatenate(values), None)], asked)
+    apart = solve_readings([make_readings(every, np.concatenate(values), None)], model)
     together = replace(
         make_readings(make_tumble(), np.mean(values, axis=0), None),
         repeats=np.full(12, 5.0),
         scatter=np.sum((np.array(values) - np.mean(values, axis=0)) ** 2, axis=0),
     )
-    fit = solve_readings([together], asked)
+    fit = solve_readings([together], model)
     np.testing.assert_allclose(fit.solution.estimate, apart.solution.estimate, atol=1e-15)
     np.testing.assert_allclose(fit.solution.u, apart.solution.u, rtol=1e-5)
     assert fit.groups[0].noise_dof == pytest.approx(apart.groups[0].noise_dof, abs=1e-6)
@@ -190,8 +190,8 @@ def test_readings_of_same_position_are_tested_together():
     stations, mountings, head = make_tumble()
     every = (stations * 2, mountings * 2, np.tile(head, (2, 1)))
     values = simulate_readings(every, rng, SIGMA)
-    asked = make_model(("K_F", "K_I", "delta_O"))
-    fit = solve_readings([make_readings(every, values, SIGMA)], asked)
+    model = make_model(("K_F", "K_I", "delta_O"))
+    fit = solve_readings([make_readings(every, values, SIGMA)], model)
     assert [p.indices for p in fit.groups[0].positions] == [(i, i + 12) for i in range(12)]
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(24) * np.pi / 6])
     left_over = np.eye(24) - x @ np.linalg.solve(x.T @ x, x.T)
@@ -208,16 +208,16 @@ def test_readings_of_same_position_are_tested_together():
 def test_studentised_residual_matches_fit_without_reading():
     """Its distance from that prediction, over u of prediction and reading by the others' noise."""
     values = simulate_readings(make_tumble(), np.random.default_rng(13), SIGMA)
-    asked = make_model(("K_F", "K_I", "delta_O"))
-    every = solve_readings([make_readings(make_tumble(), values, None)], asked).groups[0].single
+    model = make_model(("K_F", "K_I", "delta_O"))
+    every = solve_readings([make_readings(make_tumble(), values, None)], model).groups[0].single
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
-    for k, one in enumerate(every):
+    for k, reading in enumerate(every):
         others = np.delete(x, k, axis=0)
         solution, (squares,), *_ = np.linalg.lstsq(others, np.delete(values, k), rcond=None)
         variance = squares / 8.0 * (1.0 + x[k] @ np.linalg.solve(others.T @ others, x[k]))
         t = (values[k] - x[k] @ solution) / math.sqrt(variance)
-        assert one.studentized == pytest.approx(t, rel=1e-4)
-        assert one.p == pytest.approx(2.0 * stats.t.sf(abs(t), 8.0), rel=1e-3)
+        assert reading.studentized == pytest.approx(t, rel=1e-4)
+        assert reading.p == pytest.approx(2.0 * stats.t.sf(abs(t), 8.0), rel=1e-3)
 
 
 def test_noise_with_head_error_has_dof_of_repeats():
@@ -354,11 +354,11 @@ CASES = {
 @pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise estimated"])
 @pytest.mark.parametrize("case", CASES)
 def test_fit_is_unbiased_and_has_coverage(case, stated):
-    tests, asked, more = CASES[case]
-    everything = [*asked.unknowns, *asked.considered]
+    tests, model, more = CASES[case]
+    everything = [*model.unknowns, *model.considered]
     trials = FULL or 12
     rng = np.random.default_rng(sum(map(ord, case)))
-    own = {u.symbol: TRUTH.get(u.symbol, 0.0) for u in asked.unknowns if u.symbol in TERMS}
+    own = {u.symbol: TRUTH.get(u.symbol, 0.0) for u in model.unknowns if u.symbol in TERMS}
     z, t, square = [], [], 0.0
     for _ in range(trials):
         drawn = {u.symbol: rng.normal(0.0, u.prior[1]) for u in everything if u.symbol not in TERMS}
@@ -373,9 +373,9 @@ def test_fit_is_unbiased_and_has_coverage(case, stated):
             )
             for test in tests
         ]
-        fit = solve_readings(groups, asked)
-        wanted = np.array([own.get(u.symbol, drawn.get(u.symbol)) for u in asked.unknowns])
-        nominal = np.array([u.nominal for u in asked.unknowns])
+        fit = solve_readings(groups, model)
+        wanted = np.array([own.get(u.symbol, drawn.get(u.symbol)) for u in model.unknowns])
+        nominal = np.array([u.nominal for u in model.unknowns])
         off = fit.solution.estimate + nominal - wanted
         z.append(off / fit.solution.u)
         t.append(stdtrit(satterthwaite_dof(fit), 0.975))

@@ -100,14 +100,14 @@ def indicate_force(errors):
 
 def simulate_and_solve(values, sigma, setting, repeats=1, *, held=False):
     """Return the fit, and the accelerometers' coefficients with their true values, (8,) each."""
-    asked = make_model(setting, held=held)
-    fit = solve_readings(make_groups(values, sigma, repeats), asked)
-    found = [
+    model = make_model(setting, held=held)
+    fit = solve_readings(make_groups(values, sigma, repeats), model)
+    estimates_and_truth = [
         (x + u.nominal, TRUTH[u.owner][u.symbol])
-        for x, u in zip(fit.solution.estimate, asked.unknowns, strict=True)
+        for x, u in zip(fit.solution.estimate, model.unknowns, strict=True)
         if u.owner
     ]
-    return fit, *np.array(found).T
+    return fit, *np.array(estimates_and_truth).T
 
 
 def test_face_attitudes_are_proper_rotations():
@@ -136,8 +136,8 @@ def test_exactly_known_errors_return_truth():
 def test_tilt_of_vertical_axis_has_quadratic_mean_and_variance(repeats):
     """1 - (e^2 + n^2)/2 has a mean of 1 - s^2 and a variance of s^4, common to all repeats."""
     zeros = {name: np.zeros(6 * repeats) for name in AXES}
-    (group, _), asked = make_groups(zeros, SIGMA, repeats), make_model(SETTING)
-    part = linearize(group, asked, np.zeros(len(asked.unknowns)))
+    (group, _), model = make_groups(zeros, SIGMA, repeats), make_model(SETTING)
+    part = linearize(group, model, np.zeros(len(model.unknowns)))
     upright, level = slice(0, 2 * repeats), slice(2 * repeats, None)
     np.testing.assert_allclose(
         np.abs(part.target[upright]), 1.0 - SETTING**2, rtol=0, atol=1e-5 * SETTING**2
@@ -169,10 +169,10 @@ def test_noise_estimate_includes_indistinguishable_positioning_errors():
     for _ in range(20):
         read = indicate_force(rng.normal(0.0, SETTING, (6, 2)))
         values = {name: own + rng.normal(0.0, SIGMA, 6) for name, own in read.items()}
-        fit, found, truth = simulate_and_solve(values, None, SETTING)
+        fit, estimates, truth = simulate_and_solve(values, None, SETTING)
         assert [group.noise_dof for group in fit.groups] == pytest.approx([2.0, 2.0])
         sizes += [group.noise for group in fit.groups]
-        z = np.abs(found - truth) / fit.solution.u[:8]
+        z = np.abs(estimates - truth) / fit.solution.u[:8]
         largest.append(float(z.max()))
         assert fit.solution.u[2] > SETTING / math.sqrt(2.0)
     # Of the two that are left, one is between level faces and upright ones.
@@ -199,10 +199,10 @@ def test_small_hand_set_tumbles_have_coverage():
             name: np.repeat(own, repeats) + rng.normal(0.0, SIGMA, 6 * repeats)
             for name, own in read.items()
         }
-        fit, found, truth = simulate_and_solve(
+        fit, estimates, truth = simulate_and_solve(
             values, None if trial % 2 else SIGMA, SETTING, repeats
         )
-        z.append((found - truth) / fit.solution.u[:8])
+        z.append((estimates - truth) / fit.solution.u[:8])
     # Bounds that one of eight coefficients passes by chance in some thousand changes of the seed.
     rms, inside = np.sqrt(np.mean(np.square(z), axis=0)), np.sum(np.abs(z) < 1.96, axis=0)
     low, high = np.sqrt(stats.chi2.ppf([1e-5, 1.0 - 1e-5], trials) / trials)

@@ -113,10 +113,10 @@ def test_deviating_rate_is_named():
     assert cs.calibrate(arm_campaign).state == "good"
 
 
-def with_stated_rate(one, rate):
+def with_stated_rate(campaign, rate):
     """Return the campaign with another stated rate of the run "in 9"."""
-    runs = one.source.document["runs"]
-    return one.change(
+    runs = campaign.source.document["runs"]
+    return campaign.change(
         {
             "runs": [
                 calibrate_with_clock | {"rate": rate}
@@ -182,8 +182,8 @@ def test_recorder_clock_affects_rates_from_angle():
     assert abs(coefficient_errors(result)["K_I"][0]) < 3.0 * coefficient_errors(result)["K_I"][1]
 
 
-def record_columns(one):
-    return {r.name: one.record_at(r.record).columns for r in one.readings}
+def record_columns(campaign):
+    return {r.name: campaign.record_at(r.record).columns for r in campaign.readings}
 
 
 def test_stated_rate_is_used_without_angle_column():

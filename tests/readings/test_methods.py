@@ -69,13 +69,13 @@ def test_omitted_kind_matches_campaign_without_it(campaign_of_three_kinds, joint
 
 def test_consistent_tests_have_no_finding(campaign_of_three_kinds):
     """All tests share a level of 1 %: in 10 campaigns at most 1 (p = 0.004)."""
-    found = 0
+    n_findings = 0
     for seed in range(2, 12):
         campaign_of_three_kinds.draw(seed)
-        found += any(
+        n_findings += any(
             f.code == "kinds-disagree" for f in campaign_of_three_kinds.calibrated().findings
         )
-    assert found <= 1
+    assert n_findings <= 1
 
 
 @pytest.mark.parametrize(

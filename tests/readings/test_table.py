@@ -250,11 +250,11 @@ GERMAN_KEYS = (
 )
 
 
-@pytest.mark.parametrize("said", ["", 'skip_lines = 1\nunits_row = true\ndelimiter = ";"\n'])
-def test_table_layout_is_detected_or_stated(tmp_path, said):
+@pytest.mark.parametrize("message", ["", 'skip_lines = 1\nunits_row = true\ndelimiter = ";"\n'])
+def test_table_layout_is_detected_or_stated(tmp_path, message):
     """Lines before the names and a row of units are found, as in records, or said."""
     (tmp_path / "r.csv").write_bytes(GERMAN.replace("uA", "mA").encode("latin-1"))
-    readings = read(tmp_path, f'[readings]\nfile = "r.csv"\n{GERMAN_KEYS}{said}').readings
+    readings = read(tmp_path, f'[readings]\nfile = "r.csv"\n{GERMAN_KEYS}{message}').readings
     assert [reading.name for reading in readings] == ["P1", "P2", "P3"]
     assert [reading.value * 1.25 for reading in readings] == pytest.approx([1250.5, 0.5, -1249.5])
 

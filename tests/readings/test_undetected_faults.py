@@ -130,10 +130,10 @@ def calibrate_on_arm(folder, change, *, sense=1.0, sigma=SIGMA, head=ARM):
 def test_gain_change_between_ranges_is_named(tmp_path):
     """10 ppm above 6 g: K_I takes up most of it, and the rest is ten times the noise."""
     assert calibrate_on_arm(tmp_path / "usual", 0.0).state == "good"
-    (found,) = (
+    (finding,) = (
         f for f in calibrate_on_arm(tmp_path / "other", 1e-5).findings if f.code == "lack-of-fit"
     )
-    assert "gain that changes above 6 g" in found.text
+    assert "gain that changes above 6 g" in finding.text
 
 
 CUBIC = ARM.replace('"K_II"]', '"K_II", "K_III"]')

@@ -133,7 +133,7 @@ def test_header_variants_are_aligned_with_columns(head):
 
 
 @pytest.mark.parametrize(
-    ("head", "rows", "told"),
+    ("head", "rows", "message"),
     [
         ("time (s)x (g),y (g),z (g)", ["0.0,0.1,0.2,0.3"] * 4, "line 1 has 3 names for 4 columns"),
         ("t ax ay az temp", ["0.0 0.1 0.2 0.3"] * 4, "line 1 has 5 names for 4 columns"),
@@ -141,10 +141,10 @@ def test_header_variants_are_aligned_with_columns(head):
         ("# t ax ay", ["0.0 0.1 0.2 0.3"] * 4, "line 1 has 3 names for 4 columns"),
     ],
 )
-def test_misaligned_header_numbers_columns(head, rows, told):
+def test_misaligned_header_numbers_columns(head, rows, message):
     layout = detect_layout([head, *rows])
     assert layout.names == ("column 1", "column 2", "column 3", "column 4")
-    assert told in layout.describe("utf-8")
+    assert message in layout.describe("utf-8")
 
 
 def test_comment_characters_within_names_are_preserved():

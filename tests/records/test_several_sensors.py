@@ -141,8 +141,8 @@ def test_invalid_selection_raises(tmp_path):
     import counterspin as cs
 
     path = write_interleaved_sensors(tmp_path / "log.csv")
-    for select, told in (("device=Q", "does not contain the value 'Q'"), ("dev=A", "select")):
-        with pytest.raises(RecordError, match=told):
+    for select, message in (("device=Q", "does not contain the value 'Q'"), ("dev=A", "select")):
+        with pytest.raises(RecordError, match=message):
             cs.noise(path, select=select)
     with pytest.raises(CampaignError, match="write COLUMN=VALUE"):
         cs.noise(path, select="A")
@@ -156,8 +156,8 @@ def test_interleaved_sensors_are_detected_by_time(labels):
     order = np.argsort(time + rng.uniform(0.0, 9e-3, time.size))
     cells = np.tile(labels, 400)[order].tolist()
     numbers = {"t": time[order], "a": rng.standard_normal(time.size)}
-    found = list(find_interleaved_sensors({"at": cells}, numbers))
-    assert found == [("at", sorted(labels))]
+    sensors = list(find_interleaved_sensors({"at": cells}, numbers))
+    assert sensors == [("at", sorted(labels))]
     # A state does not part the rows of one sensor into records with even times.
     state = rng.choice(labels, time.size).tolist()
     assert not list(find_interleaved_sensors({"at": state}, numbers | {"t": np.sort(time)}))

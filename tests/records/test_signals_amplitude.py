@@ -25,9 +25,9 @@ def test_change_of_unit_raises_with_line(tmp_path, factor, place, start):
     columns[SIGNAL][part] *= factor
     message = read_error_message(write_record(tmp_path / "run.csv", columns))
     assert "changes its unit or scale" in message
-    found = int(message.split("line ")[1].split(":")[0])
+    line_number = int(message.split("line ")[1].split(":")[0])
     # Where the wave crosses zero, one unit is as good as the other.
-    assert abs(found - 2 - place) <= 2
+    assert abs(line_number - 2 - place) <= 2
 
 
 @pytest.mark.parametrize("length", [80, 100, 170])

@@ -148,6 +148,6 @@ def test_rows_below_table_of_sheet_are_ignored(tmp_path):
     assert [len(column.values) for column in contents[0].columns] == [12, 12]
     assert guess_test(contents) == "tumble"
     answers = {"gravity": "9.81", "latitude": "48", "out sensitivity": "1.25"}
-    found = make_draft(contents, answers, "tumble")
-    campaign = read_campaign(write_description(found, tmp_path / "camp"))
+    draft = make_draft(contents, answers, "tumble")
+    campaign = read_campaign(write_description(draft, tmp_path / "camp"))
     assert len(campaign.readings) == 12

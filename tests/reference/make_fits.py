@@ -117,60 +117,60 @@ class Answers:
         self.expected[name] = [float(f"{v:.12g}") for v in np.ravel(values)]
         self.limits[name] = [float(f"{v:.3g}") for v in np.ravel(off)]
 
-    def lines(self, found, names, close=CLOSE, more=None):
+    def lines(self, fit_result, names, close=CLOSE, more=None):
         """Value, u and its parts; `more` is what a value is larger by in the result."""
         for name in names:
-            line = np.array(found.line(name))
+            line = np.array(fit_result.line(name))
             line[0] += (more or {}).get(name, 0.0)
             self.add(name, line, np.full(5, close * line[1]))
 
-    def correlation(self, found, owner):
+    def correlation(self, fit_result, owner):
         """Return the correlations of the parameters of interest by row."""
-        names = sorted(n for n in asked_of(found) if n.startswith(owner + "."))
-        matrix = found.correlation(names)
+        names = sorted(n for n in asked_of(fit_result) if n.startswith(owner + "."))
+        matrix = fit_result.correlation(names)
         self.add(f"correlation of {owner}", matrix, np.full(matrix.shape, 2.0 * CLOSE))
 
-    def budget(self, found, name):
+    def budget(self, fit_result, name):
         """Add the contribution of each source to u, if it exceeds a hundredth of u.
 
         The random errors of all rates are a single source.
         """
-        k, u = found.names.index(name), found.line(name)[1]
+        k, u = fit_result.names.index(name), fit_result.line(name)[1]
         contributions = {}
-        for prior, moved in found.priors.items():
+        for prior, moved in fit_result.priors.items():
             source = "centrifuge.rate" if prior.startswith(RATE) else prior
             contributions[source] = math.hypot(contributions.get(source, 0.0), moved[k])
         for source, contribution in contributions.items():
             if contribution > 1e-2 * u:
                 self.add(f"contribution of {source} to {name}", [contribution], [CLOSE * u])
 
-    def rests_on(self, found):
+    def rests_on(self, fit_result):
         """Return posterior value and u of nuisance parameters that the data inform."""
-        for unknown in found.unknowns:
-            value, u, *_ = found.line(unknown.name)
+        for unknown in fit_result.unknowns:
+            value, u, *_ = fit_result.line(unknown.name)
             random = unknown.name.startswith(RATE)
             if unknown.kind != "asked" and not random and u < 0.9 * unknown.sd:
                 self.add(f"posterior of {unknown.name}", [value - unknown.mean, u], [CLOSE * u] * 2)
 
-    def misfit(self, found, owner, groups):
+    def misfit(self, fit_result, owner, groups):
         """Chi-square, degrees of freedom, and the probability of a worse fit."""
-        chi2, dof = found.misfit(groups)
+        chi2, dof = fit_result.misfit(groups)
         p = float(gammainc(dof / 2.0, chi2 / 2.0, regularized=True))
         self.add(f"chi-square test of {owner}", [chi2, dof, p], [1e-3 * chi2, 1e-5 * dof, 2e-3])
 
     def dof(self, name, value, close):
         self.add(f"degrees of freedom of {name}", [value], [close * value])
 
-    def output(self, found, name, per_g):
+    def output(self, fit_result, name, per_g):
         """Bias and scale factor in the unit of the readings."""
         for key, symbol in (("bias", "K_F"), ("scale_factor", "K_I")):
-            value, u, *_ = found.line(f"{name}.{symbol}")
+            value, u, *_ = fit_result.line(f"{name}.{symbol}")
             size = np.array([value, u]) * per_g
             self.add(f"{key} of {name}", size, [CLOSE * size[1]] * 2)
 
 
-def asked_of(found):
-    return [u.name for u in found.unknowns if u.kind == "asked" and "spindle" not in u.name]
+def asked_of(fit_result):
+    return [u.name for u in fit_result.unknowns if u.kind == "asked" and "spindle" not in u.name]
 
 
 def unknowns_of(asked, stated, unstated, held=None):
@@ -645,8 +645,8 @@ def with_found_noise(answers, groups, runs, integrations, unknowns, about):
         return fit(rows, unknowns)
 
     # Satterthwaite: u^2 is as sure as the levels that it goes with.
-    found, step = solved(*levels), 1e-2
-    variance = np.diag(found.covariance)
+    fit_result, step = solved(*levels), 1e-2
+    variance = np.diag(fit_result.covariance)
     slopes = []
     for k in range(levels.size):
         up, down = (
@@ -660,13 +660,13 @@ def with_found_noise(answers, groups, runs, integrations, unknowns, about):
         tiny = 1e-9 * alone
         by_walk = (np.diag(solved(alone, tiny).covariance) - variance) / tiny
         level, longer = hidden(likelihood, alone, variance, by_walk)
-        found.of_noise[:] += np.diag(level * by_walk)
+        fit_result.of_noise[:] += np.diag(level * by_walk)
         share = variance / (variance + level * by_walk)
         dof = 1.0 / (share**2 / dof + 1.0 / longer)
-    answers.lines(found, found.names, CLOSE_OF_FOUND)
-    for name, value in zip(found.names, dof, strict=True):
+    answers.lines(fit_result, fit_result.names, CLOSE_OF_FOUND)
+    for name, value in zip(fit_result.names, dof, strict=True):
         answers.dof(name, value, 2.0 * CLOSE_OF_FOUND)
-    owner = found.names[0].partition(".")[0]
+    owner = fit_result.names[0].partition(".")[0]
     observable = "displacement" if integrations == 2 else "velocity"
     for name, level in zip((observable, "acceleration"), np.sqrt(levels), strict=False):
         answers.add(f"{name} noise of {owner}", [level], [CLOSE_OF_FOUND * level])

@@ -10,15 +10,15 @@ from counterspin.reports.numbers import format_estimate
 
 
 @pytest.mark.parametrize(
-    ("encoding", "said"),
+    ("encoding", "message"),
     [
         ("utf-8", "2 × 10⁻⁵ µg/g²"),
         ("latin-1", "2 × 10^-5 µg/g²"),
         ("ascii", "2 x 10^-5 ug/g^2"),
     ],
 )
-def test_superscripts_are_replaced_if_not_encodable(encoding, said):
-    assert substitute_unencodable("2 × 10⁻⁵ µg/g²", encoding) == said
+def test_superscripts_are_replaced_if_not_encodable(encoding, message):
+    assert substitute_unencodable("2 × 10⁻⁵ µg/g²", encoding) == message
 
 
 @pytest.mark.parametrize(

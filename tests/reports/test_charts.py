@@ -167,9 +167,9 @@ def test_symbols_have_subscripts():
     )
     assert "".join(x_label.itertext()) == "KII of a_run, ug"
     assert "".join(y_label.itertext()) == "K_I.csv and En"
-    index, rest = x_label.iter(f"{NAMESPACE}tspan")
-    assert (index.text, rest.text) == ("II", " of a_run, ug")
-    assert float(index.get("dy")) == -float(rest.get("dy")) > 0.0
+    index, subscript = x_label.iter(f"{NAMESPACE}tspan")
+    assert (index.text, subscript.text) == ("II", " of a_run, ug")
+    assert float(index.get("dy")) == -float(subscript.get("dy")) > 0.0
     assert float(index.get("font-size")) < 9.0
 
 

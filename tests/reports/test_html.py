@@ -194,15 +194,15 @@ def test_hostile_text_is_escaped(tree, text):
 def test_control_characters_in_names_are_escaped():
     hostile, shown = "Qx\x1b\u202e\nK_II = 1", r"Qx\x1b\u202e\nK_II = 1"
     series = (PlotSeries(hostile, (0.0, 1.0), (0.0, 1.0)),)
-    made = [
+    report_blocks = [
         *(Heading(hostile, 2), Paragraph(hostile), Paragraph(hostile, "answer")),
         Table((Column(hostile),), ((hostile,),)),
         Plot(hostile, hostile, hostile, series, zoom=True),
         HeatMap(hostile, (hostile,), ((1.0,),)),
     ]
     for text in (
-        render_page(page_blocks=made, title=hostile, identifier=hostile),
-        render_fragment(made, title=hostile),
+        render_page(page_blocks=report_blocks, title=hostile, identifier=hostile),
+        render_fragment(report_blocks, title=hostile),
     ):
         assert not re.search("[\x1b\u202e]|^K_II", text, re.M)
         seen = parse_html(text).text_content()

@@ -38,13 +38,13 @@ def report(tmp_path_factory):
 def open_page(browser, path, **settings):
     """Open a file; yield its tab, its external requests and its errors."""
     context = open_context(browser, **{"viewport": DESK} | settings)
-    asked, wrong = [], []
+    requests, wrong = [], []
 
     def handle_route(route):
         if route.request.url == path.as_uri():
             route.continue_()
         else:
-            asked.append(route.request.url)
+            requests.append(route.request.url)
             route.abort()
 
     context.route("**/*", handle_route)
@@ -52,7 +52,7 @@ def open_page(browser, path, **settings):
     tab.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
     tab.on("pageerror", lambda error: wrong.append(str(error)))
     tab.goto(path.as_uri())
-    yield tab, asked, wrong
+    yield tab, requests, wrong
     context.close()
 
 
@@ -95,11 +95,15 @@ def colour_at(figure, x, from_top):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("viewport", [DESK, PHONE], ids=["desk", "phone"])
 def test_page_makes_no_request_and_has_no_error(browser, report, viewport, scheme):
-    with open_page(browser, report, viewport=viewport, color_scheme=scheme) as (tab, asked, wrong):
+    with open_page(browser, report, viewport=viewport, color_scheme=scheme) as (
+        tab,
+        requests,
+        wrong,
+    ):
         tab.get_by_role("button", name="Zoom in").first.click()
         tab.locator("#theme").click()
         tab.emulate_media(media="print")
-        assert asked == []
+        assert requests == []
         assert wrong == []
 
 
@@ -107,11 +111,11 @@ def test_external_request_is_blocked_by_policy(browser, tmp_path):
     image = '<img src="http://example.invalid/a.png">'
     path = tmp_path / "page.html"
     path.write_text(image, encoding="utf-8")
-    with open_page(browser, path) as (_, asked, wrong):
-        assert asked == ["http://example.invalid/a.png"]
+    with open_page(browser, path) as (_, requests, wrong):
+        assert requests == ["http://example.invalid/a.png"]
     path.write_text(render_page().replace("<header>", image + "<header>"), encoding="utf-8")
-    with open_page(browser, path) as (_, asked, wrong):
-        assert asked == []
+    with open_page(browser, path) as (_, requests, wrong):
+        assert requests == []
         assert "Content Security Policy" in wrong[0]
 
 

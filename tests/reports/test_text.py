@@ -169,9 +169,9 @@ def make_full_result():
     )
 
 
-def render_text(found, width=160, **options):
+def render_text(result, width=160, **options):
     stream = io.StringIO()
-    print_result(found, Console(file=stream, width=width, highlight=False), **options)
+    print_result(result, Console(file=stream, width=width, highlight=False), **options)
     return stream.getvalue()
 
 

@@ -47,9 +47,9 @@ def test_long_task_shows_progress_and_erases_it():
 def test_progress_names_task():
     console = make_terminal()
     with show_progress(console, delay=0.0, labels=("Searching", "Points", "Done")) as advance:
-        for counts, said in (((0, 0), "Searching"), ((0, 3), "Points"), ((3, 3), "Done")):
+        for counts, label in (((0, 0), "Searching"), ((0, 3), "Points"), ((3, 3), "Done")):
             advance(*counts)
             give_up = time.monotonic() + 300.0
-            while said not in console.file.getvalue() and time.monotonic() < give_up:
+            while label not in console.file.getvalue() and time.monotonic() < give_up:
                 time.sleep(0.01)
-            assert said in console.file.getvalue()
+            assert label in console.file.getvalue()

@@ -135,8 +135,8 @@ out = { input = "outward", pendulous = "up", reading = "minus", u = "v" }
     earth = 7.292115e-5 * math.sin(math.radians(45.75))
     force = (9.9**2 + 2.0 * 9.9 * earth) / 9.8066
     values = [1.25 * (2e-3 + 1.0005 * f + 15e-6 * f**2) for f in (force, 0.0, -force, 0.0, -force)]
-    found = [*filled["plus"][:2], *filled["minus"]]
-    assert found == pytest.approx(values, abs=1e-7)
+    filled_values = [*filled["plus"][:2], *filled["minus"]]
+    assert filled_values == pytest.approx(values, abs=1e-7)
 
 
 def test_noise_of_table_is_u_of_its_readings(tmp_path):

@@ -76,22 +76,22 @@ CLOSED_FORMS = [
 @pytest.mark.parametrize(("name", "true", "shifts"), CLOSED_FORMS)
 def test_engines_agree_on_effect_of_true_input(tmp_path, name, true, shifts, analysis):
     text = PLAN + analysis
-    found, u = {}, {}
+    estimates, u = {}, {}
     for engine in ("auto", "full"):
         kind, perfect = made(tmp_path / f"{engine} stated", text, engine)
         _, off = made(tmp_path / engine, text + varied(**{name: true}), engine)
         assert (kind == "full") is (engine == "full")
-        found[engine] = {symbol: off[symbol][0] - perfect[symbol][0] for symbol in perfect}
+        estimates[engine] = {symbol: off[symbol][0] - perfect[symbol][0] for symbol in perfect}
         u |= {symbol: own for symbol, (_, own) in perfect.items()}
-    for own in found.values():
+    for own in estimates.values():
         for symbol, expected in shifts.items():
             if symbol in own:
                 # Parts of the Coriolis force, and what K_III and ripple make of it.
                 bound = 2e-3 * abs(expected) + 2e-3 * u[symbol]
                 assert own[symbol] == pytest.approx(expected, abs=bound), symbol
-    for symbol, fast in found["auto"].items():
+    for symbol, fast in estimates["auto"].items():
         bound = 1e-3 * abs(fast) + 1e-3 * u[symbol]
-        assert found["full"][symbol] == pytest.approx(fast, abs=bound), symbol
+        assert estimates["full"][symbol] == pytest.approx(fast, abs=bound), symbol
 
 
 def test_tilt_is_multiplied_by_scale_factor(tmp_path):

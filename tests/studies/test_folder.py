@@ -273,8 +273,8 @@ def test_folder_options_require_folder(campaign, capsys):
 
 def test_long_study_prints_time_estimate(campaign, monkeypatch, capsys):
     monkeypatch.setattr(study_module, "expected_duration", lambda engine, trials: 0.8 * trials)
-    said = []
-    monkeypatch.setattr(study_module, "run_batches", lambda *_, **__: said.append(1) or 1 / 0)
+    messages = []
+    monkeypatch.setattr(study_module, "run_batches", lambda *_, **__: messages.append(1) or 1 / 0)
     with (
         pytest.warns(CounterspinWarning, match=r"40000 trials will take about 9 h"),
         pytest.raises(ZeroDivisionError),

@@ -31,10 +31,10 @@ def test_scatter_of_trials_matches_u(tmp_path):
     trials = 50
     result = cs.study(_campaign(tmp_path / "poses"), trials=trials, seed=2)
     (analysis,) = result.analyses.values()
-    (found,) = [c for name, c in analysis.coefficients.items() if name == "Z.K_I"]
+    (coefficient,) = [c for name, c in analysis.coefficients.items() if name == "Z.K_I"]
     # A standard deviation of n trials is known to 1/sqrt(2n) of it: 4 of these.
-    assert found.sd == pytest.approx(found.u, rel=4.0 / np.sqrt(2.0 * trials))
-    assert abs(found.bias) < 4.0 * found.sd / np.sqrt(trials)
+    assert coefficient.sd == pytest.approx(coefficient.u, rel=4.0 / np.sqrt(2.0 * trials))
+    assert abs(coefficient.bias) < 4.0 * coefficient.sd / np.sqrt(trials)
 
 
 def test_forecast_matches_calibration(tmp_path):

@@ -129,9 +129,9 @@ def test_linear_trials_match_full_records(tmp_path):
         '[study.analyses.exact]\nmethod = "two-stage"\n'
         '[study.analyses.printed]\nmethod = "two-stage"\nmodel = "as-printed"\n'
     )
-    truth, made = engines(write(tmp_path / "a", SHORT + analyses), "linear", "full")
+    truth, analysis_engines = engines(write(tmp_path / "a", SHORT + analyses), "linear", "full")
     draws = replace(truth.draw(random_stream(3, 0, 0), 12), white_noise=np.zeros(1))
-    for fast, slow in zip(*made, strict=True):
+    for fast, slow in zip(*analysis_engines, strict=True):
         a, b = (one.run_trials(draws, random_stream(3, 0, 1)) for one in (fast, slow))
         # K_II is the first unknown of each; what is printed beside it is not reported.
         assert np.abs((a.estimate - b.estimate) / b.u)[0].max() < 0.1
@@ -199,9 +199,9 @@ def test_sufficient_statistics_have_distribution_of_full_records(tmp_path):
     analyses = VARYING[VARYING.index("[study.analyses.exact]") :]
     folder = write(tmp_path / "a", SHORT + varying + analyses + joint)
     n = 2000 if FULL else 25
-    truth, made = engines(folder, "auto", "full")
+    truth, analysis_engines = engines(folder, "auto", "full")
     few, many = truth.draw(random_stream(3, 0, 0), n), truth.draw(random_stream(4, 0, 0), 20 * n)
-    for fast, slow in zip(*made, strict=True):
+    for fast, slow in zip(*analysis_engines, strict=True):
         a, b = (
             fast.run_trials(many, random_stream(4, 0, 1)),
             slow.run_trials(few, random_stream(3, 0, 1)),
@@ -247,15 +247,19 @@ def test_u_includes_gravity_and_radius_like_calibration(tmp_path, engine):
     # A prior of K_F would hold it against what another gravity makes of b2.
     sure = SHORT.replace('bias = "0.004 ± 2e-6 g"', "")
     sure += '[truth.site]\ngravity = "9.80 m/s^2"\n[truth.centrifuge]\nradius = "2.50 m"\n'
-    said = []
+    u_values = []
     for name, text in (("sure", sure), ("unsure", with_uncertain_inputs(sure))):
-        truth, ((made,),) = engines(write(tmp_path / name, text + analysis), engine)
-        said.append(made.run_trials(truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1)))
-    without, found = said
+        truth, ((analysis_engine,),) = engines(write(tmp_path / name, text + analysis), engine)
+        u_values.append(
+            analysis_engine.run_trials(
+                truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1)
+            )
+        )
+    without, found = u_values
     assert np.array_equal(found.estimate, without.estimate)
     # b2 is K_II R^2 w^4/(4 g) + K_F g/2, with 1e-3 of R and 5e-4 of g.
     # The linear engine states u at the mean true values, whole records that of their estimate.
-    k_ii, k_f = np.abs(made.estimate if engine == "auto" else found.estimate[:, 0])
+    k_ii, k_f = np.abs(analysis_engine.estimate if engine == "auto" else found.estimate[:, 0])
     expected = [np.hypot(2e-3, 5e-4) * k_ii, 5e-4 * k_f]
     # Of a small share of u^2, by a forward difference of 1e-6.
     assert np.sqrt(found.u**2 - without.u**2)[:, 0] == pytest.approx(expected, rel=3e-6)
@@ -263,12 +267,16 @@ def test_u_includes_gravity_and_radius_like_calibration(tmp_path, engine):
 
 def test_engines_combine_bias_prior_with_wrong_gravity(tmp_path):
     analysis = '[study.analyses.exact]\nmethod = "two-stage"\n'
-    said = []
+    results = []
     for engine in ("auto", "full"):
         folder = write(tmp_path / engine, with_uncertain_inputs(SHORT) + analysis)
-        truth, ((made,),) = engines(folder, engine)
-        said.append(made.run_trials(truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1)))
-    fast, whole = said
+        truth, ((analysis_engine,),) = engines(folder, engine)
+        results.append(
+            analysis_engine.run_trials(
+                truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1)
+            )
+        )
+    fast, whole = results
     off = np.abs(fast.u / whole.u - 1.0)
     # The two have other noise, and what inputs do goes with the estimates.
     noise = np.hypot(fast.u, whole.u) / np.abs(whole.estimate)
@@ -341,7 +349,7 @@ def test_u_of_study_matches_joint_fit(tmp_path, monkeypatch):
     """The uncertainty includes noise that the records do not reveal."""
     unstated = SHORT.replace('[noise]\ndisplacement = "0.01 m"', "")
     text = unstated + '[study.analyses.joint]\nmethod = "joint"\n'
-    truth, ((made,),) = engines(write(tmp_path / "a", text), "auto")
+    truth, ((analysis_engine,),) = engines(write(tmp_path / "a", text), "auto")
     estimates = []
 
     def remembered(*arguments):
@@ -349,10 +357,12 @@ def test_u_of_study_matches_joint_fit(tmp_path, monkeypatch):
         return estimates[-1]
 
     monkeypatch.setattr(full_simulation, "estimate", remembered)
-    results = made.run_trials(truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1))
+    results = analysis_engine.run_trials(
+        truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1)
+    )
     (fit,) = (estimate.fit for estimate in estimates)
     assert fit.undetected_walks
-    assert results.u[:, 0] == pytest.approx(fit.solution.u[list(made.rows)], rel=1e-12)
+    assert results.u[:, 0] == pytest.approx(fit.solution.u[list(analysis_engine.rows)], rel=1e-12)
 
 
 def test_noise_levels_vary(tmp_path):

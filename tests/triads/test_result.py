@@ -112,8 +112,8 @@ def test_sensitivity_to_gravity_matches_difference(tmp_path):
         cs.calibrate(write_campaign_in_si(tmp_path / g, values, g)).triad.parameters
         for g in ("9.809", "9.811")
     )
-    found = {name: (high[name].value - low[name].value) / 2e-3 for name in high}
-    assert stated.by_gravity == pytest.approx(found, rel=1e-5, abs=1e-7)
+    differences = {name: (high[name].value - low[name].value) / 2e-3 for name in high}
+    assert stated.by_gravity == pytest.approx(differences, rel=1e-5, abs=1e-7)
     assert abs(stated.by_gravity["sensitivity.X"]) == pytest.approx(1.004 / 9.81, rel=1e-2)
 
 

@@ -64,7 +64,7 @@ def test_table_rows_may_be_poses(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (("[triad]", "[fixture]"), "unknown key"),
         (('["X", "Y", "Z"]', '["X", "Y", "W"]'), 'no accelerometer is named "W"'),
@@ -100,10 +100,10 @@ def test_table_rows_may_be_poses(tmp_path):
         ),
     ],
 )
-def test_invalid_section_raises(tmp_path, change, said):
+def test_invalid_section_raises(tmp_path, change, message):
     text = triads.format_description() + ONE
     assert change[0] in text
-    assert said in _refused(tmp_path, text.replace(*change, 1))
+    assert message in _refused(tmp_path, text.replace(*change, 1))
 
 
 def test_unknown_attitude_requires_triad(tmp_path):

@@ -20,24 +20,24 @@ _REAL = next(filter(Path.exists, (up / "shared/real" for up in Path(__file__).pa
 
 
 def assert_poses_found(
-    truth: PosedRecord, found, among: np.ndarray | None = None, slack: float = 0.5
+    truth: PosedRecord, poses, among: np.ndarray | None = None, slack: float = 0.5
 ) -> None:
     """Check that each rest is found within it, but for `slack` s at either end, with its mean."""
     there = np.ones(len(truth.start), dtype=bool) if among is None else among
-    assert len(found.start) == there.sum()
-    assert (found.start >= truth.start[there] - 2 * STEP).all()
-    assert (found.end <= truth.end[there] + 2 * STEP).all()
-    assert (found.start <= truth.start[there] + slack + 2 * STEP).all()
-    assert (found.end >= truth.end[there] - slack - 2 * STEP).all()
-    off = (found.mean - truth.force[there]) / (NOISE / np.sqrt(found.count))[:, None]
+    assert len(poses.start) == there.sum()
+    assert (poses.start >= truth.start[there] - 2 * STEP).all()
+    assert (poses.end <= truth.end[there] + 2 * STEP).all()
+    assert (poses.start <= truth.start[there] + slack + 2 * STEP).all()
+    assert (poses.end >= truth.end[there] - slack - 2 * STEP).all()
+    off = (poses.mean - truth.force[there]) / (NOISE / np.sqrt(poses.count))[:, None]
     assert np.abs(off).max() < 5.0  # 36 values of a Gaussian
 
 
 @pytest.mark.parametrize(
-    ("rest", "motion"), [(20.0, 1.0), (4.0, 1.5), (3.0, 9.0), (2.5, 20.0)], ids=str
+    ("rest_duration", "motion"), [(20.0, 1.0), (4.0, 1.5), (3.0, 9.0), (2.5, 20.0)], ids=str
 )
-def test_rests_are_found_for_any_duty_cycle(rest: float, motion: float) -> None:
-    truth = simulate_poses(rest, motion)
+def test_rests_are_found_for_any_duty_cycle(rest_duration: float, motion: float) -> None:
+    truth = simulate_poses(rest_duration, motion)
     poses = find_poses(truth.time, truth.values)
     assert_poses_found(truth, poses)
     assert poses.warnings == ()

@@ -122,7 +122,7 @@ def make_coefficient(value, u, *, estimated=True, unit="g/g^2"):
 
 
 @pytest.mark.parametrize(
-    ("value", "u", "estimated", "told"),
+    ("value", "u", "estimated", "message"),
     [
         (5e-4, 1e-6, True, True),
         (-5e-4, 1e-6, True, True),
@@ -133,13 +133,13 @@ def make_coefficient(value, u, *, estimated=True, unit="g/g^2"):
     ],
 )
 def test_limit_must_be_exceeded_by_three_standard_uncertainties(
-    tmp_path, value, u, estimated, told
+    tmp_path, value, u, estimated, message
 ):
     campaign = read_campaign(write_description(tmp_path, SMALL))
     credibility = check_credibility(
         campaign.limit_of, "Qx", {"K_II": make_coefficient(value, u, estimated=estimated)}
     )
-    assert [finding.subject for finding in credibility] == ["Qx.K_II"] * told
+    assert [finding.subject for finding in credibility] == ["Qx.K_II"] * message
 
 
 @pytest.mark.parametrize("method", ["joint", "two-stage"])

@@ -15,8 +15,8 @@ def make_card(**changes):
     return accelerometer_card("Qx", judged.accelerometers["Qx"], ())
 
 
-def check_outcomes(made):
-    return {check.title: check.outcome for check in made.checks}
+def check_outcomes(result):
+    return {check.title: check.outcome for check in result.checks}
 
 
 def test_card_of_good_result():

@@ -128,12 +128,12 @@ def test_contradicted_result_starts_with_warning_and_has_no_interval():
 
 def test_style_of_answer_follows_state():
     drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
-    for made, style in (
+    for result, style in (
         (make_qx_result(), "answer"),
         (make_qx_result(jackknife=drives), "reserved"),
     ):
         (line,) = (
-            b for b in build_document(made) if getattr(b, "text", "").startswith("K_II of Qx =")
+            b for b in build_document(result) if getattr(b, "text", "").startswith("K_II of Qx =")
         )
         assert line.style == style
 

@@ -197,13 +197,13 @@ def test_white_noise_has_unit_power():
 
 def test_quantiles_keep_tails_and_use_blom_scores():
     x = np.random.default_rng(2).standard_normal(5000)
-    normal, found = normal_quantiles(x, 50)
-    assert found[0] == x.min()
-    assert found[-1] == x.max()
+    normal, quantiles = normal_quantiles(x, 50)
+    assert quantiles[0] == x.min()
+    assert quantiles[-1] == x.max()
     assert normal.size <= 50
-    ranks = np.searchsorted(np.sort(x), found) + 1
+    ranks = np.searchsorted(np.sort(x), quantiles) + 1
     np.testing.assert_allclose(normal, ndtri((ranks - 0.375) / 5000.25))
     # Few samples: all of them.
-    normal, found = normal_quantiles(np.array([2.0, -1.0, 0.5]), 50)
-    np.testing.assert_array_equal(found, [-1.0, 0.5, 2.0])
+    normal, quantiles = normal_quantiles(np.array([2.0, -1.0, 0.5]), 50)
+    np.testing.assert_array_equal(quantiles, [-1.0, 0.5, 2.0])
     np.testing.assert_allclose(normal, [-normal[2], 0.0, normal[2]], atol=1e-15)

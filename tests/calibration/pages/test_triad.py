@@ -70,9 +70,11 @@ def test_residuals_before_and_after_calibration(result, truth):
 
 
 def test_rest_detection_plot_has_threshold_and_poses(result, truth):
-    (found,) = (p for p in pose_pictures(result) if p.title == "Rest intervals of by hand")
-    shaded, level = found.series
-    (threshold,) = found.levels
+    (actual_pose_picture,) = (
+        p for p in pose_pictures(result) if p.title == "Rest intervals of by hand"
+    )
+    shaded, level = actual_pose_picture.series
+    (threshold,) = actual_pose_picture.levels
     assert threshold == result.triad.records["by hand"].threshold
     starts, ends = np.array(shaded.x[::3]), np.array(shaded.x[1::3])
     assert starts == pytest.approx(truth.start, abs=0.5 + 3 * STEP)

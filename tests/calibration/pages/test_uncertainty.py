@@ -64,10 +64,10 @@ def test_largest_default_prior_is_named_with_remaining_u():
 
 def test_answer_has_one_sentence_on_largest_source():
     stated = make_result(5e-8)
-    _, _, told, *_ = answer_blocks(stated)
-    assert told.text == "Noise of Qx contributes 80 % of the variance of K_II."
-    _, _, told, *_ = answer_blocks(make_result(2e-6))
-    assert told.text == default_prior_sentence(make_result(2e-6).accelerometers["Qx"])
+    _, _, source_sentence, *_ = answer_blocks(stated)
+    assert source_sentence.text == "Noise of Qx contributes 80 % of the variance of K_II."
+    _, _, source_sentence, *_ = answer_blocks(make_result(2e-6))
+    assert source_sentence.text == default_prior_sentence(make_result(2e-6).accelerometers["Qx"])
 
 
 def test_no_default_prior_sentence_if_noise_or_stated_prior_dominates():
@@ -79,10 +79,10 @@ def test_no_default_prior_sentence_if_noise_or_stated_prior_dominates():
 
 def test_negligible_lines_are_combined():
     lines = [BudgetLine(**make_line(f"K_{k}", "stated", 10.0**-k, 1.0)) for k in range(7)]
-    shown, rest = split_small_lines(lines)
+    shown, combined = split_small_lines(lines)
     # Shares are 1, 1e-2, 1e-4 and smaller: four lines are combined.
     assert [one.source for one in shown] == ["K_0", "K_1", "K_2"]
-    assert len(rest) == 4
+    assert len(combined) == 4
     assert split_small_lines(lines[:6]) == (lines[:6], ())
 
 

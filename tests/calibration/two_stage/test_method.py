@@ -630,9 +630,9 @@ def test_option_text_is_valid_on_command_line(key, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("scale", "told"), [("1.002", False), ("1.09", False), ("1.11", True), ("0.89", True)]
+    ("scale", "message"), [("1.002", False), ("1.09", False), ("1.11", True), ("0.89", True)]
 )
-def test_harmonics_reveal_incredible_scale_factor(tmp_path, scale, told):
+def test_harmonics_reveal_incredible_scale_factor(tmp_path, scale, message):
     """Beyond 0.1 of nominal, whatever the prior; the harmonics determine it to 1e-3."""
     limits = extend_model('limits = { K_I = "1 g/g" }')
     folder = make_records(tmp_path, limits, ('K_I = "1.002 g/g"', f'K_I = "{scale} g/g"'))
@@ -640,7 +640,7 @@ def test_harmonics_reveal_incredible_scale_factor(tmp_path, scale, told):
     write_description(folder, replace_parts(text, (limits[1], MODEL)))
     accelerometer = qx(calibrate(folder, method="two-stage"))
     of_k_i = [f for f in accelerometer.findings if (f.code, f.subject) == ("incredible", "Qx.K_I")]
-    assert len(of_k_i) == told
+    assert len(of_k_i) == message
     for finding in of_k_i:
         (value,) = re.findall(r"K_I = (\S+) g/g", finding.text)
         assert float(value) == pytest.approx(float(scale), abs=1e-3)

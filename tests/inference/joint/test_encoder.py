@@ -44,15 +44,15 @@ TILTED = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, -0.8, 0.6]])
 
 def fit_encoder_angle(series, encoder_noise, rng):
     """Return the series relative to the spindle that is fitted to a noisy angle."""
-    found = []
+    fitted_series = []
     for record in series:
         angle = record.trajectory.spindle.angle(record.time)
         angle = angle + encoder_noise * rng.standard_normal(record.time.size)
         fit = fit_spindle(record.time, angle, record.trajectory.spindle.rate * (1 + 1e-6))
         motion = replace(record.trajectory, spindle=fit.spindle)
         error = record.error + record.reference() - record.reference(motion)
-        found.append(replace(record, trajectory=motion, error=error, angle_error=fit.error))
-    return found
+        fitted_series.append(replace(record, trajectory=motion, error=error, angle_error=fit.error))
+    return fitted_series
 
 
 def make_rippled_series(observable, size, rng, **more):

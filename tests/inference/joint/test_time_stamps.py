@@ -62,8 +62,8 @@ def add_time_jitter(series, timing, rng, *, encoder_noise=ENCODER, stated=(0.0, 
     return drawn
 
 
-def z_scores(found):
-    solution = found.fit.solution
+def z_scores(estimation):
+    solution = estimation.fit.solution
     return ((solution.estimate[:4] - TRUE) / solution.u[:4]).tolist()
 
 
@@ -77,9 +77,11 @@ def test_u_matches_scatter(noise_free_series, observable, timing, stated):
     request = {"Qx": Noise(white if stated else ESTIMATE, 0.0)}
     rng, trials, z = np.random.default_rng(1), 5, []
     for _ in range(trials):
-        told = (timing if stated else 0.0, 0.0)
+        stated_noise = (timing if stated else 0.0, 0.0)
         estimation = estimate(
-            add_time_jitter(noise_free_series[observable], timing, rng, stated=told), MODEL, request
+            add_time_jitter(noise_free_series[observable], timing, rng, stated=stated_noise),
+            MODEL,
+            request,
         )
         z += z_scores(estimation)
         solution = estimation.fit.solution

@@ -26,8 +26,8 @@ def test_autocovariance_matches_spectrum():
             math.log(high),
             limit=4000,
         )
-        (found,) = flicker_autocovariance(np.array([lag]), low, high)
-        assert found == pytest.approx(direct, abs=1e-8)
+        (autocovariance,) = flicker_autocovariance(np.array([lag]), low, high)
+        assert autocovariance == pytest.approx(direct, abs=1e-8)
 
 
 def test_allan_deviation_has_flicker_floor():

@@ -36,9 +36,9 @@ def test_noise_has_no_lines():
         rng, components = np.random.default_rng(seed), Noise(0.0, flicker=5e-4, bias_walk=1e-5)
         wander = draw_bias_noise(rng, np.arange(20_000) * STEP, components, 0)
         record = noise(seed) + wander
-        lines, rest = find_lines(record, STEP)
+        lines, remainder = find_lines(record, STEP)
         assert lines == []
-        assert rest is record
+        assert remainder is record
 
 
 def test_lines_are_found_with_uncertainty():
@@ -50,7 +50,7 @@ def test_lines_are_found_with_uncertainty():
         record = noise(100 + seed) + draw_bias_noise(rng, time, Noise(0.0, flicker=2e-4), 0)
         record += 2e-4 * np.cos(2.0 * math.pi * 12.3456 * time + seed)
         record += 5e-4 * np.sin(2.0 * math.pi * 49.98 * time)
-        lines, rest = find_lines(record, STEP)
+        lines, remainder = find_lines(record, STEP)
         first, second = sorted(lines, key=lambda line: line.frequency)
         z.append(
             [
@@ -60,7 +60,7 @@ def test_lines_are_found_with_uncertainty():
                 (second.amplitude - 5e-4) / second.u,
             ]
         )
-        assert find_lines(rest, STEP)[0] == []
+        assert find_lines(remainder, STEP)[0] == []
     assert np.all(np.abs(np.mean(z, axis=0)) < 4.0 / math.sqrt(20.0))
     rms = np.sqrt(np.mean(np.square(z), axis=0))
     assert np.all((rms > 0.55) & (rms < 1.5))

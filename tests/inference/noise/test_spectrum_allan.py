@@ -12,10 +12,10 @@ WHITE, FLICKER, WALK = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.
 
 def numbers(count):
     """NIST SP 1065, section 12.4: the generator of the set of 1000 values."""
-    found = [1234567890]
-    while len(found) < count:
-        found.append(16807 * found[-1] % 2147483647)
-    return np.array(found) / 2147483647.0
+    sequence = [1234567890]
+    while len(sequence) < count:
+        sequence.append(16807 * sequence[-1] % 2147483647)
+    return np.array(sequence) / 2147483647.0
 
 
 def integral(values, step=1.0):

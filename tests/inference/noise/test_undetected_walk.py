@@ -199,18 +199,18 @@ def dropped(noise_free_series):
 
 
 def test_estimate_matches_white_noise(dropped):
-    drawn, found = dropped
-    white = found.fit.noise["Qx"].white
+    drawn, estimation = dropped
+    white = estimation.fit.noise["Qx"].white
     given = estimate(drawn, MODEL, {"Qx": Noise(white, 0.0)}, rejects_outliers=False)
-    np.testing.assert_array_equal(found.fit.solution.estimate, given.fit.solution.estimate)
+    np.testing.assert_array_equal(estimation.fit.solution.estimate, given.fit.solution.estimate)
     assert not given.fit.undetected_walks
     assert given.fit.solution.covariance_undetected is None
 
 
 def test_walk_contribution_matches_simulated_walks(dropped):
     """The derivative of the least variance against the estimator itself, run on walks alone."""
-    _, found = dropped
-    level, covariance = found.fit.undetected_walks["Qx"]
+    _, estimation = dropped
+    level, covariance = estimation.fit.undetected_walks["Qx"]
     rng = np.random.default_rng(5)
     trials, estimates = 400, []
     for _ in range(trials):
@@ -223,9 +223,9 @@ def test_walk_contribution_matches_simulated_walks(dropped):
                     rng,
                 ),
             )
-            for design_block in found.fit.design_blocks
+            for design_block in estimation.fit.design_blocks
         )
-        estimates.append(solve_joint(walks, MODEL, found.fit.noise).solution.estimate)
+        estimates.append(solve_joint(walks, MODEL, estimation.fit.noise).solution.estimate)
     variance = np.var(estimates, axis=0)
     ratio = variance[[0, 2]] / np.diag(covariance)[[0, 2]]
     np.testing.assert_allclose(ratio, 1.0, atol=4 * math.sqrt(2 / trials))
@@ -233,16 +233,18 @@ def test_walk_contribution_matches_simulated_walks(dropped):
 
 def test_considered_terms_do_not_change_walk_contribution(dropped):
     """The weights do not depend on considered terms."""
-    drawn, found = dropped
+    drawn, estimation = dropped
     considered = tuple(
         Considered("Qx", symbol, (0.0, 2e-5), term(symbol).limit) for symbol in ("K_OO", "K_PP")
     )
     again = estimate(drawn, Unknowns(MODEL.unknowns, considered), BOTH, rejects_outliers=False)
-    (one, alone), (other, beside) = (fit.undetected_walks["Qx"] for fit in (found.fit, again.fit))
+    (one, alone), (other, beside) = (
+        fit.undetected_walks["Qx"] for fit in (estimation.fit, again.fit)
+    )
     # The difference of two covariances, of which rounding leaves seven digits.
     np.testing.assert_allclose(beside / other**2, alone / one**2, rtol=1e-5)
     # Considered terms are most of the variance of K_II here.
-    assert again.fit.solution.u[2] > 5.0 * found.fit.solution.u[2]
+    assert again.fit.solution.u[2] > 5.0 * estimation.fit.solution.u[2]
 
 
 def random_estimate(seed):
@@ -296,7 +298,7 @@ def test_covariances_are_positive_semi_definite(seed):
 
 def test_exactly_known_unknown_is_fixed(dropped):
     """Its u of zero must not be a divisor."""
-    drawn, found = dropped
+    drawn, estimation = dropped
     exact = Unknowns(
         tuple(
             replace(unknown, prior=(TRUTH["K_I"], 0.0)) if unknown.symbol == "K_I" else unknown
@@ -307,23 +309,23 @@ def test_exactly_known_unknown_is_fixed(dropped):
     place = [unknown.symbol for unknown in exact.unknowns].index("K_I")
     assert again.fit.solution.u[place] == 0.0
     # K_F feels the walk as before.
-    assert again.fit.solution.u[0] == pytest.approx(found.fit.solution.u[0], rel=0.05)
+    assert again.fit.solution.u[0] == pytest.approx(estimation.fit.solution.u[0], rel=0.05)
 
 
 def test_budget_names_undetected_walk(dropped):
-    _, found = dropped
-    for index, u in enumerate(found.fit.solution.u):
-        lines = budget(found.fit, index)
+    _, estimation = dropped
+    for index, u in enumerate(estimation.fit.solution.u):
+        lines = budget(estimation.fit, index)
         assert math.fsum(x.contribution**2 for x in lines) == pytest.approx(u**2, rel=1e-10)
-    (line,) = (x for x in budget(found.fit, 0) if x.source.startswith("undetected"))
+    (line,) = (x for x in budget(estimation.fit, 0) if x.source.startswith("undetected"))
     assert line.kind == NOISE
     assert line.source == "undetected noise of Qx"
     assert line.unit == "m/s^2/Hz^0.5"
-    assert line.u == found.fit.undetected_walks["Qx"][0]
+    assert line.u == estimation.fit.undetected_walks["Qx"][0]
     assert line.contribution == pytest.approx(line.sensitivity * line.u, rel=1e-12)
     assert line.share > 0.1
-    combined = found.fit.solution.combine(np.eye(TRUE.size)[0])
-    assert combined.u == pytest.approx(found.fit.solution.u[0], rel=1e-12)
+    combined = estimation.fit.solution.combine(np.eye(TRUE.size)[0])
+    assert combined.u == pytest.approx(estimation.fit.solution.u[0], rel=1e-12)
 
 
 def test_only_requested_walk_can_be_undetected(noise_free_series):

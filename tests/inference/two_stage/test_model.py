@@ -197,12 +197,12 @@ def test_record_is_sampled_at_strobes():
         error=shown,
         latitude_sensitivity=2.0 * shown,
     )
-    at, found = select_strobes(series)
+    at, strobes = select_strobes(series)
     np.testing.assert_allclose(at.time, 0.5 + 2.0 * np.arange(10), atol=1e-12)
     # Between two samples 0.03 s apart, a straight line is off by 0.03^2/8 at the most.
     np.testing.assert_allclose(at.error, np.cos(at.time), atol=1.2e-4)
     np.testing.assert_allclose(at.latitude_sensitivity, 2.0 * at.error, rtol=1e-12)
-    np.testing.assert_array_equal(at.count, found.noise_factor**-2.0)
+    np.testing.assert_array_equal(at.count, strobes.noise_factor**-2.0)
     assert at.count.max() <= 2.0 + 1e-12
     assert at.count.min() >= 1.0
 
@@ -264,12 +264,12 @@ def test_strobe_residuals_are_in_row():
     series, parabola = strobed_series()
     request = TwoStageRequest(priors={"K_F": (0.004, 1e-6)})
     model = two_stage_model(Unknowns(()), request, [series])
-    found = resolve([series], [parabola], model, request)
-    (block,) = found.fit.blocks
+    resolved = resolve([series], [parabola], model, request)
+    (block,) = resolved.fit.blocks
     assert block.rss == parabola.chi2
     # Of the strobes two numbers are their own and one is b2.
     assert (block.rows - block.n_nuisance, block.factor.shape[0]) == (parabola.dof + 1, 1)
-    assert found.fit.degrees_of_freedom[0] == pytest.approx(parabola.dof, rel=1e-6)
+    assert resolved.fit.degrees_of_freedom[0] == pytest.approx(parabola.dof, rel=1e-6)
 
 
 # Tests of priors, those of the joint fit

@@ -67,21 +67,23 @@ def second_stage(runs, mounting=QX, *, ignored=("K_III",), priors=None, **option
     return resolved(runs, mounting, request, ignored=ignored)
 
 
-def u_of_b2(found):
-    return np.array([parabola.u_b2 for parabola in found.parabolas])
+def u_of_b2(second_stage_result):
+    return np.array([parabola.u_b2 for parabola in second_stage_result.parabolas])
 
 
-def column(found, symbol):
+def column(second_stage_result, symbol):
     """Return d(b2)/d(coefficient) of each run, with separate columns for per-run terms."""
-    model, blocks = found.fit.model, found.fit.blocks
+    model, blocks = second_stage_result.fit.model, second_stage_result.fit.blocks
     rows = np.vstack([np.hstack([block.factor, block.considered]) for block in blocks])
     terms = [*model.unknowns, *model.considered]
     of_term = [place for place, other in enumerate(terms) if other.symbol == symbol]
-    return u_of_b2(found) * rows[:, of_term].sum(axis=1)
+    return u_of_b2(second_stage_result) * rows[:, of_term].sum(axis=1)
 
 
-def design(found):
-    return np.column_stack([column(found, symbol) for symbol in found.symbols])
+def design(second_stage_result):
+    return np.column_stack(
+        [column(second_stage_result, symbol) for symbol in second_stage_result.symbols]
+    )
 
 
 @cache
