@@ -264,8 +264,7 @@ def _find_best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str
     improvement = next(_prior_improvements(result, accelerometer), None)
     if improvement is None:
         raise NotFoundError(
-            f"{accelerometer}: no single quantity would reduce u if it were specified more "
-            "accurately"
+            f"{accelerometer}: specifying a single quantity more accurately would not reduce u"
         )
     source, (_, update) = (
         improvement["source"],
