@@ -212,7 +212,11 @@ def test_unreadable_time_cell_is_located(tmp_path):
             r"it decreases in row 3 \(number of decreases: 65\)",
         ),
         ({"time_s": np.zeros(99), "a_m": np.arange(99.0) % 7}, {}, "most rows"),
-        ({"time_s": np.arange(99) // 66, "a_m": np.arange(99.0) % 7}, {}, "too few rows have different times"),
+        (
+            {"time_s": np.arange(99) // 66, "a_m": np.arange(99.0) % 7},
+            {},
+            "too few rows have different times",
+        ),
         ({"time_s": np.arange(100.0), "a": np.arange(100.0) % 7}, {}, "no column has a unit"),
         ({"time_s": np.arange(100.0), "a_m": np.zeros(100)}, {}, "all samples are equal"),
         ({"time_s": np.arange(9.0), "a_m": np.arange(9.0) % 4}, {}, "too few"),
