@@ -35,7 +35,7 @@ from counterspin.comparisons.result import (
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import find_symbol, is_term, term
 
-#: Significance of the chi-square test (Cox 2002).
+#: Significance level of the chi-square test (Cox 2002).
 SIGNIFICANCE: Final = 0.05
 
 #: Coverage factor of degrees of equivalence (Cox 2002).

@@ -226,14 +226,15 @@ class ReferenceValue(ResultPart):
     chi2: float  #: Chi-square of all laboratories about their weighted mean.
     dof: int  #: Degrees of freedom of `chi2`.
     p: float  #: Probability of a larger chi-square by chance.
-    consistent: bool  #: Whether `p` is at least the significance.
+    consistent: bool  #: Whether ``p`` is at least the significance level.
     #: Weighted mean of the largest consistent subset; None if no two laboratories are consistent.
     value: float | None = None
     u: float | None = None  #: Standard uncertainty of the reference value.
     p_members: float | None = None  #: `p` of the largest consistent subset.
     #: Other consistent subsets of the same size, with larger chi-square.
     alternatives: list[list[str]] = []
-    shared: list[str] = []  #: Sources common to laboratories, which enter as covariances.
+    #: Uncertainty sources common to several laboratories, included as covariances.
+    shared: list[str] = []
     degrees: dict[str, DegreeOfEquivalence]  #: Degree of equivalence of each laboratory.
     pairs: list[PairwiseDegree]  #: Differences between all pairs of laboratories.
 
@@ -244,11 +245,11 @@ class Intercomparison(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.comparisons.intercomparison_page:intercomparison_blocks"
     DOCUMENT_TYPE: ClassVar[str] = "intercomparison"
 
-    gravity: float  #: Gravity of the g-units, m/s^2, from the first result.
-    significance: float  #: Significance of the chi-square test.
+    gravity: float  #: Gravity on which all g-units are based, m/s^2, from the first result.
+    significance: float  #: Significance level of the chi-square test.
     laboratories: list[str]  #: Names of the laboratories, in the given order.
     references: list[ReferenceValue]  #: Reference value of each coefficient.
-    assumed: list[str] = []  #: Assumptions about common sources, in sentences.
+    assumed: list[str] = []  #: Assumptions about common sources, as sentences.
     unsealed: list[str] = []  #: Laboratories whose result files have no seal.
 
     def plot(self, *, axes: Any = None) -> list[Any]:

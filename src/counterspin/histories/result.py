@@ -19,7 +19,8 @@ class Point(ResultPart):
 
     date: str  #: Date of the campaign (ISO 8601), in UTC if the date has a time zone.
     file: str  #: Result file.
-    accelerometer: str  #: Name of the accelerometer in that campaign; for an angle, both names.
+    #: Name of the accelerometer in that campaign; for an angle, the names of both accelerometers.
+    accelerometer: str
     method: str  #: ``joint`` or ``two-stage``.
     value: float  #: Estimate.
     u: float  #: Standard uncertainty.
@@ -35,10 +36,10 @@ class Point(ResultPart):
 class Scatter(ResultPart):
     """The scatter of results about a mean or a line; p and Birge ratio need a degree of freedom."""
 
-    chi2: float  #: Sum of the squares of the differences, each difference divided by u.
+    chi2: float  #: Sum of the squares of the differences, each divided by its u.
     dof: int  #: Degrees of freedom.
-    p: float | None  #: Probability of a larger chi-square; null if there is no degree of freedom.
-    #: Birge ratio, the square root of chi2/dof; null if there is no degree of freedom.
+    p: float | None  #: Probability of a larger chi-square; null if there are no degrees of freedom.
+    #: Birge ratio, the square root of chi2/dof; null if there are no degrees of freedom.
     birge: float | None
 
 
@@ -94,7 +95,7 @@ class LaboratoryPair(ResultPart):
     second: str  #: Second laboratory.
     #: Weighted mean of the second laboratory minus the weighted mean of the first laboratory.
     difference: float
-    e_n: float  #: E_n score of the two laboratories.
+    e_n: float  #: E_n score of the difference between the two laboratories.
 
     @property
     def agrees(self) -> bool:
@@ -110,7 +111,7 @@ class RepeatabilityComponent(ResultPart):
     low: float  #: Lower end of the 95 % interval; 0 if the component may be absent.
     high: float | None  #: Upper end of the 95 % interval; null if there is no upper limit.
     groups: int  #: Number of power cycles, mountings or days.
-    freedom: int  #: Degrees of freedom beyond those of coarser groups.
+    freedom: int  #: Degrees of freedom in addition to those of coarser groups.
     #: Other components that always changed together with this component and are part of it.
     same_as: list[str] = []
 
@@ -122,7 +123,7 @@ class Repeatability(ResultPart):
     components: dict[str, RepeatabilityComponent]
     #: Total standard deviation between results (root sum of squares of the components).
     total: float
-    #: Reference of the scatter: the mean, or the straight line if the results drift.
+    #: Reference for the scatter: the mean, or the straight line if the results drift.
     about: Literal["mean", "line"]
     #: Mean of the results weighted by these variances; if the results drift, the value of the line
     #: at the mean date.
@@ -137,7 +138,7 @@ class InstrumentHistory(ResultPart):
     #: Serial number of the accelerometer, or otherwise the serial number of the campaign with the
     #: name of the accelerometer.
     serial_number: str
-    #: Whether the accelerometer or the campaign states the serial number.
+    #: Whether the serial number is that of the accelerometer or that of the campaign.
     stated_by: Literal["accelerometer", "campaign"]
     points: list[Point]  #: Results in the order of their dates.
     mean: float  #: Weighted mean.
@@ -150,7 +151,7 @@ class InstrumentHistory(ResultPart):
     verdict: Verdict
     #: Sources of uncertainty common to several results, such as ``centrifuge.radius``.
     shared: list[str] = []
-    #: Largest correlation between two results that these sources cause; null if the results are
+    #: Largest correlation between any two results due to these sources; null if the results are
     #: independent.
     correlation: float | None = None
     #: Control limits calculated from the results alone; null if there are fewer than three results.
@@ -180,9 +181,10 @@ class History(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"
     DOCUMENT_TYPE: ClassVar[str] = "history"
 
-    term: str  #: Coefficient; for triads, ``offset``, ``sensitivity`` or ``angle`` (minus 90 deg).
+    #: Coefficient; for triads, ``offset``, ``sensitivity`` or ``angle`` (difference from 90 deg).
+    term: str
     unit: str  #: Unit of all values; a drift is in this unit per year.
-    gravity: float  #: Gravity to which all g-units refer, m/s^2, from the latest result.
+    gravity: float  #: Gravity on which all g-units are based, m/s^2, from the latest result.
     converted: bool  #: Whether results with a different gravity were converted to `gravity`.
     instruments: list[InstrumentHistory]  #: History for each serial number.
     #: Results that cannot be used, for example results without a date or serial number, or

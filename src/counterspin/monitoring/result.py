@@ -16,9 +16,11 @@ from counterspin.results import ReportableResult, ResultPart
 class ResidualState(ResultPart):
     """Residuals of an accelerometer in a run."""
 
-    rms: float  #: Root mean square per sample, in `unit`.
+    rms: float  #: Root mean square of the residuals of single samples, in ``unit``.
     stated: float | None  #: White noise stated in the campaign; None if the fit estimates it.
-    ratio: float  #: Whitened residuals divided by the expected value; near 1 for a good fit.
+    #: Root mean square of the whitened residuals, divided by its expected value; near 1 for a good
+    #: fit.
+    ratio: float
     #: Probability of a larger ratio; None if the noise was estimated from the residuals.
     p: float | None
     unit: str  #: Unit of ``rms`` and ``stated``.
@@ -28,7 +30,7 @@ class PosesState(ResultPart):
     """Poses of a triad detected so far in a record."""
 
     count: int  #: Number of poses.
-    threshold: float  #: Scatter below which the sensor counts as at rest, m/s^2.
+    threshold: float  #: Scatter below which the sensor is considered to be at rest, m/s^2.
     #: RMS of norm(f) - g over all poses, m/s^2; None before the first fit.
     rms: float | None
     outlying: list[str]  #: Names of poses that deviate from the model.
@@ -40,7 +42,7 @@ class PosesState(ResultPart):
 class MeanState(ResultPart):
     """The mean of a record over whole revolutions, or at rest."""
 
-    value: float  #: Mean reading in g, by the nominal sensitivity.
+    value: float  #: Mean reading in g, converted with the nominal sensitivity.
     u: float  #: Standard uncertainty of the mean, g.
     revolutions: int  #: Number of whole revolutions; 0 at rest.
 
@@ -58,7 +60,7 @@ class RunState(ResultPart):
     seconds: float = 0.0  #: Recorded time, s.
     stated_seconds: float | None = None  #: Duration stated in the campaign, s; None if not stated.
     sampling_rate: float | None = None  #: Sampling rate, Hz.
-    repeated: int = 0  #: Number of rows that repeat a time.
+    repeated: int = 0  #: Number of rows with a repeated time.
     empty: int = 0  #: Number of empty cells.
     outliers: int = 0  #: Number of rejected samples.
     gaps: int = 0  #: Number of gaps (intervals without rows).
@@ -72,7 +74,8 @@ class RunState(ResultPart):
     angle_rms: float | None = None  #: Root mean square of the encoder residual, rad.
     residuals: dict[str, ResidualState] = {}  #: Residuals by accelerometer.
     poses: PosesState | None = None  #: Poses found in a record with unknown attitudes.
-    means: dict[str, MeanState] = {}  #: Means by accelerometer, for a record on an arm or at rest.
+    #: Mean reading of each accelerometer, for a record on an arm or at rest.
+    means: dict[str, MeanState] = {}
 
 
 class CurrentEstimate(ResultPart):
@@ -106,10 +109,10 @@ class WatchState(ReportableResult):
     #: goals.
     coefficients: list[CurrentEstimate]
     goals: list[GoalState]  #: Targets for u.
-    events: list[str]  #: Changes of files since the previous state, in sentences.
+    events: list[str]  #: Changes to files since the previous state, as sentences.
     #: Reason why the present records cannot be fitted together; None if the fit succeeded.
     trouble: str | None
-    complete: bool  #: Whether every run is read and has the stated duration.
+    complete: bool  #: Whether every run has been read and has the stated duration.
 
     @property
     def met(self) -> bool:
@@ -123,7 +126,7 @@ class CheckedRun(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:check_blocks"
     DOCUMENT_TYPE: ClassVar[str] = "check"
 
-    run: RunState  #: State of the run, fitted alone.
+    run: RunState  #: State of the run when fitted alone.
     remarks: list[str]  #: Faults and remarks, as sentences; empty if there are none.
     good: bool  #: Whether the record can be used unchanged.
     others: list[str]  #: Other runs of the campaign that have records.
@@ -171,7 +174,7 @@ class NoiseSize(ResultPart):
     #: Upper end of the 95 % interval, or the upper limit of an undetected component; null if there
     #: is no limit.
     high: float | None
-    unit: str  #: Unit of the three numbers.
+    unit: str  #: Unit of ``value``, ``low`` and ``high``.
 
 
 class SignalNoise(ResultPart):
@@ -211,7 +214,7 @@ class NoiseResult(ReportableResult):
 
     record: str  #: Record file.
     checksum: str | None  #: SHA-256 of the file; None for a record in memory.
-    gravity: float  #: Gravity for conversions between g and m/s^2, in m/s^2.
+    gravity: float  #: Gravity used to convert between g and m/s^2, in m/s^2.
     signals: list[SignalNoise]  #: Noise of each column.
     unused: list[str]  #: Columns that are not a displacement, a velocity or a specific force.
     table: str  #: ``[noise]`` table that you can paste into ``campaign.toml``.

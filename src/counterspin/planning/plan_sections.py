@@ -88,7 +88,7 @@ class LimitsSettings(SettingsSection):
         "highest centripetal acceleration, in g",
         "1 g",
         None,
-        absent="the acceleration at the highest rate",
+        absent="centripetal acceleration at the highest rate",
     )
     senses: Literal["one", "both"] = key_field("sense of rotation", "both", "one")
     settling: Duration = key_field("settling time before each record", "10 s", 0.0, absent="0 s")
@@ -118,7 +118,7 @@ class LimitsSettings(SettingsSection):
         "rates in the list `rates` need only be different",
         3,
         None,
-        absent="2, or 1 if the other limits do not allow two",
+        absent="2, or 1 if the other limits do not allow two rates",
     )
     attitudes: list[Annotated[Any, PlainValidator(_parse_attitude)]] = key_field(
         "list of allowed attitudes, written as in `campaign.toml`",

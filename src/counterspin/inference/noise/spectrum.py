@@ -74,7 +74,7 @@ class SpectrumValue:
     frequency: float  #: Frequency, Hz.
     #: Power spectral density, (m/s^2)^2/Hz; the density of white noise with coefficient N is N^2.
     density: float
-    low: float  #: Lower end of the 95 % interval, by chi-square.
+    low: float  #: Lower end of the 95 % interval, from the chi-square distribution.
     high: float  #: Upper end of the 95 % interval.
     dof: float  #: Degrees of freedom.
     expected: float  #: Value predicted by the detected components, (m/s^2)^2/Hz.
@@ -234,7 +234,7 @@ class AllanValue:
 
     tau: float  #: Averaging time, s.
     deviation: float  #: Allan deviation, m/s^2.
-    low: float  #: Lower end of the 95 % interval, by chi-square.
+    low: float  #: Lower end of the 95 % interval, from the chi-square distribution.
     high: float  #: Upper end of the 95 % interval.
     dof: float  #: Equivalent degrees of freedom for the detected noise.
     expected: float  #: Value predicted by the detected components, m/s^2.
