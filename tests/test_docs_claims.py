@@ -74,12 +74,12 @@ NUMBERS = [
     *(
         (page, words, [runs.MAX_COMPUTED_ROWS])
         for page, words in (
-            ("harmful-files", "are limited to {} rows at once"),
+            ("harmful-files", "are limited to a total of {} rows"),
             ("plan", "a checked campaign may have at most {} rows in total"),
             ("study", "over all runs and accelerometers, is limited to {};"),
         )
     ),
-    ("harmful-files", "with at most {} samples each.", [runs.MAX_SIMULATED_ROWS]),
+    ("harmful-files", "each run may have at most {} samples.", [runs.MAX_SIMULATED_ROWS]),
     (
         "harmful-files",
         "has at most {} records, one for each run and accelerometer, "
@@ -107,13 +107,13 @@ NUMBERS = [
         [limits._MAX_DEFAULT_SDS],
     ),
     ("result", "more than {} default standard uncertainties", [limits._MAX_DEFAULT_SDS]),
-    ("methods", "above {} of the noise of one row", [design_blocks._MIN_SINGULAR_VALUE]),
+    ("methods", "exceeds {} of the noise of one row", [design_blocks._MIN_SINGULAR_VALUE]),
     (
         "methods",
         "With the default of {} ug/g^2 for K_OO of navigation grade",
         [1e6 * TERMS["K_OO"].typical],
     ),
-    ("methods", "to u as stated, or with the default of {} arcsec", [ENCODER / ARCSEC]),
+    ("methods", "its stated uncertainty, or with the default of {} arcsec", [ENCODER / ARCSEC]),
     ("trust", "with a default of {} arcsec each", [ENCODER / ARCSEC]),
     (
         "campaign",
@@ -126,10 +126,10 @@ NUMBERS = [
         [1e6 * INPUTS["records.clock"].typical],
     ),
     ("physics", "changes the estimate of K_I by {} ppm", [2e6 * INPUTS["records.clock"].typical]),
-    ("methods", "in log-likelihood reaches {}. If", [noise_search.MIN_LIKELIHOOD_GAIN]),
+    ("methods", "twice the log-likelihood by at least {}. If", [noise_search.MIN_LIKELIHOOD_GAIN]),
     (
         "methods",
-        "in one case out of {}. The",
+        "by chance in one of {} cases. The",
         [1 / normal_cdf(-math.sqrt(noise_search.MIN_LIKELIHOOD_GAIN))],
     ),
     ("methods", "likelihood times N^(-{})", [undetected_walk.PRIOR_EXPONENT]),

@@ -196,7 +196,7 @@ _NO_SOURCE: Final = "order-of-magnitude estimate, no source"
 
 
 def _attitude_rows() -> Iterator[Term[AttitudeError]]:
-    level_size = f"{_NO_SOURCE}: 0.5 arcsec, a good level or autocollimator", 0.5 * ARCSEC
+    level_size = f"{_NO_SOURCE}: 0.5 arcsec, for a good level or autocollimator", 0.5 * ARCSEC
     azimuth_size = f"{_NO_SOURCE}: 10 arcsec, because azimuth is harder to determine", 10.0 * ARCSEC
     for axis, name in enumerate(_AXIS_NAMES):
         source, typical_size = azimuth_size if name == "up" else level_size
@@ -243,14 +243,14 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
             "rad",
             1e-3,
             ARCSEC,
-            f"{_NO_SOURCE}: 1 arcsec, good angle encoder in the servo loop of the table",
+            f"{_NO_SOURCE}: 1 arcsec, for a good angle encoder in the servo loop of the table",
             "machine",
             motions=("counter-rotating",),
         )
     for axis, name in enumerate(("outward", "forward")):
         tilt = AttitudeError("table_axis", axis)
         description = f"tilt of the table axis about the {name} axis"
-        sizes = (1e-2, 10.0 * ARCSEC, f"{_NO_SOURCE}: 10 arcsec, bearings machined in one setting")
+        sizes = (1e-2, 10.0 * ARCSEC, f"{_NO_SOURCE}: 10 arcsec, bearings machined in one setup")
         yield Term(f"table.axis_tilt.{name}", tilt, description, "rad", *sizes, "machine")
 
 
@@ -395,7 +395,9 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
 def _input_rows() -> Iterator[Term[Input]]:
     radii = "largest relative uncertainty of measured radii (4e-6), at a radius of 2.5 m"
     # An absolute gravimeter is better by a factor of 1000.
-    gravity_source = f"{_NO_SOURCE}: value from a gravity map, corrected for height"
+    gravity_source = (
+        f"{_NO_SOURCE}: uncertainty of a value from a gravity map, corrected for height"
+    )
     delay, cutoff = "delay of the recorded angle", "low-pass cutoff frequency of the recorder"
     frequency_source, cutoff_source = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz"
     table_source, multiples = "standard uncertainty in the response table", (-100.0, 100.0)

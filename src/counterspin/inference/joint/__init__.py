@@ -1,6 +1,6 @@
 """Joint fit of the full records of all runs and accelerometers.
 
-- `unknowns`: estimated and considered unknowns, and the interface of an observation
+- `unknowns`: estimated and considered unknowns, and the interface for observations
 - `series`: output of an accelerometer in a run, effects of uncertain inputs, whitening
 - `design_blocks`: design matrix of each record, and compression of nuisance parameters
 - `encoder`: rotation errors due to encoder noise

@@ -1,4 +1,4 @@
-"""Linear model: estimated and considered unknowns, and the interface of an observation.
+"""Linear model: estimated and considered unknowns, and the interface for observations.
 
 Observations are records (`counterspin.inference.joint.design_blocks`), or readings and poses
 (`counterspin.readings.linear`).
