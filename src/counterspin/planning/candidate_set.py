@@ -379,10 +379,17 @@ class _Relaxation:
             )
             intercepts = hull_gains - slope * hull_costs
             price = float(intercepts[lower])
-            new = int(np.argmax(intercepts))
-            if intercepts[new] <= price + _ROUNDING * hull_gains[upper] or new in (lower, upper):
+            hull_vertex = int(np.argmax(intercepts))
+            if intercepts[hull_vertex] <= price + _ROUNDING * hull_gains[upper] or hull_vertex in (
+                lower,
+                upper,
+            ):
                 break
-            lower, upper = (new, upper) if hull_costs[new] <= mean_cost else (lower, new)
+            lower, upper = (
+                (hull_vertex, upper)
+                if hull_costs[hull_vertex] <= mean_cost
+                else (lower, hull_vertex)
+            )
         weights[upper] = (
             self.max_count
             * (mean_cost - hull_costs[lower])

@@ -137,8 +137,8 @@ def fault_requirements(
     return basis, [
         Requirement(
             words=text,
-            size=size
-            if (size := _allowed_size(allowed_shift, shifts)) <= max_sizes[unit]
+            size=allowed_size
+            if (allowed_size := _allowed_size(allowed_shift, shifts)) <= max_sizes[unit]
             else None,
             unit=unit,
         )
@@ -319,7 +319,10 @@ def fault_sensitivities(
         expected = expected_values(prediction.campaign, fit.model.unknowns)
     batches: list[list[Fault]] = [[]]
     for fault in faults:
-        if batches[-1] and sum(len(f.terms) for f in (*batches[-1], fault)) > _MAX_COLUMNS:
+        if (
+            batches[-1]
+            and sum(len(batch_fault.terms) for batch_fault in (*batches[-1], fault)) > _MAX_COLUMNS
+        ):
             batches.append([])
         batches[-1].append(fault)
     return [

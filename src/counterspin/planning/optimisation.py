@@ -195,9 +195,9 @@ def _fill_empty_groups(weights: Array, counts: npt.NDArray[np.int64]) -> npt.NDA
     """Return the counts with at least 1 for each relevant group, taken from the largest groups."""
     new_counts = counts.copy()
     for index in np.flatnonzero((weights > _MIN_RUN_WEIGHT) & (counts == 0)):
-        largest = int(np.argmax(new_counts))
-        if new_counts[largest] > 1:
-            new_counts[largest] -= 1
+        largest_group = int(np.argmax(new_counts))
+        if new_counts[largest_group] > 1:
+            new_counts[largest_group] -= 1
             new_counts[index] = 1
     return new_counts
 
@@ -324,7 +324,7 @@ def minimise_time(
     """
     targets = replace(criterion, combination="sum")
     single_criteria = [
-        Criterion((i,), (s,)) for i, s in zip(targets.indices, targets.scales, strict=True)
+        Criterion((i,), (scale,)) for i, scale in zip(targets.indices, targets.scales, strict=True)
     ]
 
     def worst_excess(design: Design) -> float:
@@ -339,7 +339,7 @@ def minimise_time(
         for _ in range(8):
             u_ratios = predictor.u(design)[list(targets.indices)] / np.array(criterion.scales)
             scales = np.array(targets.scales) / np.sqrt(u_ratios)
-            targets = replace(targets, scales=tuple(float(s) for s in scales))
+            targets = replace(targets, scales=tuple(float(scale) for scale in scales))
             _, design = polish(predictor, limits, targets, design)
             if worst_excess(design) <= 0.0:
                 break

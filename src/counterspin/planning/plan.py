@@ -196,12 +196,12 @@ def _round_to_targets(search: Search, design: Design) -> tuple[Design, Forecast]
         if new_design is None:
             break
         prediction = forecast(search.campaign(new_design))
-        u_ratios = {name: prediction.u[name] / size for name, size in goal.sizes.items()}
+        u_ratios = {name: prediction.u[name] / target for name, target in goal.sizes.items()}
         if max(u_ratios.values()) <= 1.0:
             return new_design, prediction
         # With a random walk, the search and the forecast differ by a few 1e-5.
         targets = {
-            name: size * min(1.0, 0.99999 / u_ratios[name]) for name, size in targets.items()
+            name: target * min(1.0, 0.99999 / u_ratios[name]) for name, target in targets.items()
         }
     raise unreachable_target_error(search)
 

@@ -404,7 +404,7 @@ def _resolve_rates(
     if not upper_bounds:
         problems.add(("limits",), "give highest_rate, specific_force or rates", "missing-key")
         return None
-    key, high = min(upper_bounds.items(), key=lambda item: item[1])
+    key, high = min(upper_bounds.items(), key=lambda bound: bound[1])
     low = settings.lowest_rate
     if low is not None and low > high:
         problems.add(
@@ -465,10 +465,10 @@ def resolve_goal(
                 path, f'"{name}" is not estimated' + suggest_name(name, known_names), "unknown-term"
             )
             continue
-        size: float | None = 1.0
+        u_target: float | None = 1.0
         if isinstance(goal_entries, Mapping):
-            size = _resolve_size(goal_entries[name], matches[0], campaign, path, problems)
-        sizes |= {unknown.name: size for unknown in matches if size is not None}
+            u_target = _resolve_size(goal_entries[name], matches[0], campaign, path, problems)
+        sizes |= {unknown.name: u_target for unknown in matches if u_target is not None}
         units |= {unit_of(unknown.symbol) for unknown in matches}
     if not isinstance(goal_entries, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(

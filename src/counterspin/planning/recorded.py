@@ -220,7 +220,7 @@ def _candidate_runs(campaign: Campaign) -> Iterator[tuple[str, list[dict[str, An
 
 def _describe_repeated_run(campaign: Campaign, run: Run, attitude: str) -> dict[str, Any]:
     """Return the description of a run that repeats another run in an attitude."""
-    names = {existing.name for existing in campaign.runs}
+    names = {other_run.name for other_run in campaign.runs}
     name = next(
         name
         for index in range(1, len(names) + 2)

@@ -466,30 +466,30 @@ class Predictor:
         blocks: Array,
         noise_covariance: Array,
         contributions: Array,
-        c: Array,
+        directions: Array,
     ) -> Array:
         """Return a quantity per run whose difference quotient is the derivative of the criterion.
 
-        With v = P c, s = spread' c and B the considered moments, d(c' S c) is
-        -v' dM v - 2 s' (dB' v) - 2 s' B' dP c; shape (..., runs).
+        With c = directions, v = P c (scaled), s = K' c (considered), K the contributions and B the
+        considered moments, d(c' S c) is -v' dM v - 2 s' (dB' v) - 2 s' B' dP c. Shape (..., runs).
         """
         p = self.p
-        v = noise_covariance @ c
-        projected_rows = blocks[..., :p] @ v
+        scaled_directions = noise_covariance @ directions
+        projected_rows = blocks[..., :p] @ scaled_directions
         run_terms = -np.sum(projected_rows**2, axis=(-2, -1))
         if contributions.shape[-1] == 0:
             return np.asarray(run_terms)
-        s = contributions.T @ c
-        # d(spread' c) = -(dB)' v + B' P dM P c, and B' P is -spread'.
-        contribution_direction = contributions @ s
+        considered_directions = contributions.T @ directions
+        # d(K' c) = -(dB)' v + B' P dM P c, and B' P is -K'.
+        contribution_direction = contributions @ considered_directions
         run_terms -= 2.0 * np.sum(
             projected_rows * (blocks[..., :p] @ contribution_direction), axis=(-2, -1)
         )
         columns = self._scale_considered(types, blocks)
         q, n = self.common_sds.size, len(types)
         n_own = columns.shape[-1] - q
-        weights = np.zeros((n, q + n_own, c.shape[1]))
-        weights[:, :q] = s[:q]
-        weights[:, q:] = s[q:].reshape(n, n_own, c.shape[1])
+        weights = np.zeros((n, q + n_own, directions.shape[1]))
+        weights[:, :q] = considered_directions[:q]
+        weights[:, q:] = considered_directions[q:].reshape(n, n_own, directions.shape[1])
         run_terms -= 2.0 * np.sum(projected_rows * (columns @ weights), axis=(-2, -1))
         return np.asarray(run_terms)

@@ -95,9 +95,11 @@ class ReadingPlan:
     def existing_campaign(self) -> Campaign:
         """Return the campaign with only its existing observations, with the same model."""
         names = {reading.name for reading in self.candidates}
-        existing = tuple(reading for reading in self.template.readings if reading.name not in names)
+        existing_readings = tuple(
+            reading for reading in self.template.readings if reading.name not in names
+        )
         triad = self.template.triad and replace(self.template.triad, poses=self.existing_poses)
-        return replace(self.template, readings=existing, triad=triad)
+        return replace(self.template, readings=existing_readings, triad=triad)
 
     def campaign(self, readings: Sequence[CandidateReading]) -> Campaign:
         """Return the campaign with readings in this order and zero values."""
@@ -228,11 +230,11 @@ def read_reading_plan(
             problems.add(("stations",), text, "duplicate-entry")
         used_names.add(reading.name)
     if len(candidates) > _MAX_CANDIDATES:
-        words = (
+        message = (
             f"allow {len(candidates)} different readings, which exceeds the limit of "
             f"{_MAX_CANDIDATES}"
         )
-        problems.add(("stations",), words, "too-many-rows")
+        problems.add(("stations",), message, "too-many-rows")
     runs = [_fill_value(reading.run, "0") for reading in candidates]
     campaign = None
     if runs and not problems.lines:

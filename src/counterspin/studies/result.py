@@ -354,7 +354,7 @@ def summarise_analyses(analyses: Mapping[str, AnalysisResult]) -> list[str]:
 
 
 def _join_findings(coefficients: Iterable[CoefficientResult]) -> str:
-    return "; ".join(c.finding for c in coefficients) + "."
+    return "; ".join(coefficient.finding for coefficient in coefficients) + "."
 
 
 def _summarise_few_trials(analyses: Mapping[str, AnalysisResult]) -> list[str]:
