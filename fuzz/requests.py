@@ -256,8 +256,8 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "POST profile": [{"file": "LAB.toml", "text": lab.replace("Example Calibration", "Bench")}],
         "GET file": [{"name": result}, {"name": "PLAN.toml"}],
         "POST ticket": [
-            {"name": "file", "said": {"name": result}},
-            {"name": "report", "said": {"name": result, "kind": "md"}},
+            {"name": "file", "parameters": {"name": result}},
+            {"name": "report", "parameters": {"name": result, "kind": "md"}},
         ],
         "GET plan": [{"name": "PLAN.toml"}],
         "POST plan": [{"name": "new.toml"}, {"name": "poses.toml", "example": "poses"}],

@@ -120,7 +120,7 @@ def test_servers_do_not_share_credentials():
 
 
 def _request_ticket(page, **said):
-    return page.post("/api/ticket", json={"name": "file", "said": said})
+    return page.post("/api/ticket", json={"name": "file", "parameters": said})
 
 
 def test_download_ticket_is_valid_once_and_for_one_file(page):
@@ -140,7 +140,7 @@ def test_download_ticket_is_valid_once_and_for_one_file(page):
 
 
 def test_tickets_are_limited_to_downloads_and_page(page):
-    assert page.post("/api/ticket", json={"name": "folder", "said": {}}).status_code == 400
+    assert page.post("/api/ticket", json={"name": "folder", "parameters": {}}).status_code == 400
     outside = _request_ticket(page, name="../outside.toml").json()["ticket"]
     assert page.get(f"/api/ticket/{outside}").status_code == 403
     del page.headers["Authorization"]

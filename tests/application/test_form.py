@@ -104,7 +104,7 @@ def test_fields_have_label_and_help():
             for field in flatten_fields(section["fields"]):
                 assert re.match(r"[A-Z][a-z]", field["label"]), field
                 assert field["key"] in ACCELEROMETER_TERMS or "_" not in field["label"], field
-            tables = (section.get("of_readings", []), *section.get("of_tables", {}).values())
+            tables = (section.get("reading_fields", []), *section.get("table_fields", {}).values())
             for field in flatten_fields(chain(section["fields"], *tables)):
                 assert field["help"] or field["key"] in ACCELEROMETER_TERMS, field
                 assert not re.search(r"`|\]\(", field["help"]), field
@@ -151,7 +151,7 @@ def test_selectable_terms_are_valid_model_terms():
 
 def test_runs_of_readings_have_separate_keys():
     runs = find_section(campaign_form(), "runs")
-    assert "reading" in {f["key"] for f in runs["of_readings"]}
+    assert "reading" in {f["key"] for f in runs["reading_fields"]}
     document = {"runs": [{"rate": "1 rad/s"}, {"reading": "1 g"}, {"motion": "arm"}, 7]}
     assert detect_run_types(document) == ["record", "reading", "reading", "record"]
     assert detect_run_types({"runs": "none"}) == detect_run_types({}) == []
@@ -160,9 +160,9 @@ def test_runs_of_readings_have_separate_keys():
 def test_form_has_limits_of_all_terms_and_truth_of_all_tables():
     form = campaign_form()
     limits = find_section(form, "specification")
-    assert [f["key"] for f in limits["of_names"]] == list(TERMS)
+    assert [f["key"] for f in limits["name_fields"]] == list(TERMS)
     assert find_field(form, "specification", "K_II")["example"] == "abs <= … g/g^2"
     truth = find_section(form, "truth")
-    assert {*truth["of_tables"], "machine"} == set(TRUTH_TABLES)
+    assert {*truth["table_fields"], "machine"} == set(TRUTH_TABLES)
     assert set(TERMS) <= {f["key"] for f in truth["fields"]}
-    assert "drift" in {f["key"] for f in truth["of_tables"]["spindle"]}
+    assert "drift" in {f["key"] for f in truth["table_fields"]["spindle"]}

@@ -53,11 +53,11 @@ def test_short_window_has_all_rows_and_long_window_keeps_outlier(page, spiked_re
     time, east = spiked_record["time_s"], spiked_record["east_m"]
     whole = RUN | {"low": time[0], "high": time[-1]}
     body = page.get("/api/record", params=whole | {"parts": 1000}).json()
-    assert body["whole"]
+    assert body["is_complete"]
     assert body["time"] == pytest.approx(time)
     assert body["columns"][1] == pytest.approx(east, rel=1e-6)
     body = page.get("/api/record", params=whole | {"parts": 10}).json()
-    assert not body["whole"]
+    assert not body["is_complete"]
     assert len(body["time"]) == len(body["columns"][1]) == 20
     assert np.all(np.diff(body["time"]) > 0.0)
     assert max(body["columns"][1]) == 99.5

@@ -15,7 +15,7 @@ def test_data_minus_fit_equals_residuals(page, app, folder):
     app.jobs = InlineJobs()
     assert page.post("/api/fit", json={"name": "three"}).json()["state"] == "done"
     about = page.get("/api/record-about", params=RUN).json()["overview"]
-    assert about["together"] == 2
+    assert about["columns_per_plot"] == 2
     assert [column["name"] for column in about["columns"]] == [
         "Qx: data, parabola removed",
         "Qx: fit, parabola removed",
@@ -24,7 +24,7 @@ def test_data_minus_fit_equals_residuals(page, app, folder):
     ]
     window = RUN | {"low": about["first"], "high": about["last"], "parts": 4000}
     body = page.get("/api/record", params=window).json()
-    assert body["whole"]
+    assert body["is_complete"]
     data, fitted = (np.array(column, float) for column in body["columns"][:2])
     trace = Result.read(folder / "three" / "result.json").accelerometers["Qx"].traces["fast"]
     assert np.sqrt(np.mean((data - fitted) ** 2)) == pytest.approx(trace.rms, rel=1e-3)

@@ -63,7 +63,7 @@ def test_stated_value_is_prepared_in_copy(page, folder, result):
     assert not readings["has_runs"]
     assert [improvement["accelerometer"] for improvement in body["ways"]] == ["Qx", "Qy"]
     stated = body["ways"][0]["stated"]
-    assert (stated["source"], stated["known"]) == ("K_OO", "0.20 µg/g²")
+    assert (stated["source"], stated["assumed_u"]) == ("K_OO", "0.20 µg/g²")
     before = (folder / "three" / "campaign.toml").read_bytes()
     data = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
     assert data == {"name": "three-K_OO", "key": 'model.priors."Qx.K_OO"'}
@@ -71,7 +71,7 @@ def test_stated_value_is_prepared_in_copy(page, folder, result):
     assert prior == {"Qx.K_OO": "0 ± 2e-07 g/g^2"}
     assert (folder / "three" / "campaign.toml").read_bytes() == before
     left = calibrate(folder / "three-K_OO").accelerometers["Qx"].coefficients["K_II"].u
-    assert stated["left"] == f"{left * 1e6:.2g} µg/g²"
+    assert stated["remaining_u"] == f"{left * 1e6:.2g} µg/g²"
     # A second copy gets a different name.
     again = page.post("/api/way", json=CAMPAIGN | {"accelerometer": "Qx", "way": "state"}).json()
     assert again["name"] == "three-K_OO-2"

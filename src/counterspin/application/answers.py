@@ -213,9 +213,9 @@ class FormSection(TypedDict):
     explained: str
     repeat: str | None
     fields: list[FormField]
-    of_readings: NotRequired[list[FormField]]
-    of_names: NotRequired[list[FormField]]
-    of_tables: NotRequired[dict[str, list[FormField]]]
+    reading_fields: NotRequired[list[FormField]]
+    name_fields: NotRequired[list[FormField]]
+    table_fields: NotRequired[dict[str, list[FormField]]]
 
 
 class KeyedText(TypedDict):
@@ -368,9 +368,9 @@ class PriorImprovement(TypedDict):
     symbol: str
     source: str
     words: str
-    known: str
-    now: str
-    left: str
+    assumed_u: str
+    current_u: str
+    remaining_u: str
 
 
 class RunImprovement(TypedDict):
@@ -379,8 +379,8 @@ class RunImprovement(TypedDict):
     attitude: str
     count: int
     minutes: str
-    left: str
-    now: str
+    remaining_u: str
+    current_u: str
 
 
 class Improvement(TypedDict):
@@ -419,7 +419,7 @@ class RecordColumn(TypedDict):
 class RecordOverview(TypedDict):
     """Columns of a record and its used time range."""
 
-    together: int
+    columns_per_plot: int
     columns: list[RecordColumn]
     rows: int
     first: float
@@ -439,7 +439,7 @@ class RecordWindow(TypedDict):
 
     time: list[float]
     columns: list[list[float | None]]
-    whole: bool
+    is_complete: bool
 
 
 class RunCheck(TypedDict):
@@ -549,7 +549,7 @@ class Limit(TypedDict):
 
     key: str
     words: str
-    whole: bool
+    is_integer: bool
     unit: str
     factor: float
     value: float

@@ -77,9 +77,11 @@ def _get_file(app: AppState, name: str) -> ApiResponse:
     return _make_download(*certification.download_file(app, name))
 
 
-def _issue_ticket(app: AppState, name: Literal["report", "file"], said: dict[str, str]) -> Ticket:
+def _issue_ticket(
+    app: AppState, name: Literal["report", "file"], parameters: dict[str, str]
+) -> Ticket:
     """Return a ticket for a file that the browser downloads by itself."""
-    return {"ticket": app.tickets.issue((name, said))}
+    return {"ticket": app.tickets.issue((name, parameters))}
 
 
 def _list_jobs(app: AppState) -> list[JobEntry]:

@@ -77,13 +77,13 @@ def campaign_form() -> tuple[FormSection, ...]:
         section = _make_section(key, model, "campaign")
         if key == "runs":
             section["fields"] = _table_fields(model, "campaign", READINGS)
-            section["of_readings"] = _table_fields(model, "campaign", RECORDS)
+            section["reading_fields"] = _table_fields(model, "campaign", RECORDS)
         if key == "specification":
-            section["of_names"] = _tolerance_fields()
-            section["fields"] = section["of_names"] + section["fields"]
+            section["name_fields"] = _tolerance_fields()
+            section["fields"] = section["name_fields"] + section["fields"]
         if key == "truth":
             section["fields"] = _table_fields(AccelerometerTruthSettings, "campaign")
-            section["of_tables"] = {
+            section["table_fields"] = {
                 name: _table_fields(model, "campaign") for name, model in TRUE_TABLES.items()
             }
         sections.append(section)

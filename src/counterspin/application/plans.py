@@ -93,7 +93,7 @@ class Slider:
         return {
             "key": self.key,
             "words": self.spec.label,
-            "whole": self.spec.is_integer,
+            "is_integer": self.spec.is_integer,
             "unit": self.unit,
             "factor": self.factor,
             "value": self.value,

@@ -81,7 +81,7 @@ def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> Re
     except NotFoundError:
         return {"overview": None}
     overview: RecordOverview = {
-        "together": 2 if fit else 1,
+        "columns_per_plot": 2 if fit else 1,
         "columns": [
             {"name": column, "unit": unit}
             for column, unit in zip(record.names, record.units, strict=True)
@@ -143,7 +143,7 @@ def _make_window(time: Array, columns: list[Array], *, is_complete: bool) -> Rec
     return {
         "time": [float(f"{seconds:.10g}") for seconds in time],
         "columns": [[_round_for_screen(value) for value in column] for column in columns],
-        "whole": is_complete,
+        "is_complete": is_complete,
     }
 
 

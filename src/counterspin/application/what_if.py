@@ -150,9 +150,9 @@ def _prior_improvements(result: Result, owner: str) -> Iterator[PriorImprovement
             "symbol": symbol,
             "source": source,
             "words": describe_term(source),
-            "known": _format_u(improved_u, source_unit),
-            "now": _format_u(current_u, unit),
-            "left": _format_u(remaining_u[source], unit),
+            "assumed_u": _format_u(improved_u, source_unit),
+            "current_u": _format_u(current_u, unit),
+            "remaining_u": _format_u(remaining_u[source], unit),
         }
 
 
@@ -171,8 +171,8 @@ def _run_improvement(
         "attitude": suggestion.attitude,
         "count": len(suggestion.runs),
         "minutes": format_number(suggestion.seconds / 60.0, 2),
-        "left": _format_u(suggestion.u, unit),
-        "now": _format_u(suggestion.u_without, unit),
+        "remaining_u": _format_u(suggestion.u, unit),
+        "current_u": _format_u(suggestion.u_without, unit),
     }
 
 

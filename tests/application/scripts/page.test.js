@@ -315,7 +315,7 @@ test("a text for printing is waited for, and is empty where it is refused", () =
 test("a file is saved from an address that counts once", async () => {
   server.answer = () => json({ ticket: "t7" });
   await saveFile("report", { name: "a" });
-  assert.deepEqual(JSON.parse(server.requests[0].body), { name: "report", said: { name: "a" } });
+  assert.deepEqual(JSON.parse(server.requests[0].body), { name: "report", parameters: { name: "a" } });
   assert.deepEqual(clicked.map(({ href }) => href), ["/api/ticket/t7"]);
 });
 

@@ -221,9 +221,9 @@
  *   explained: string,
  *   repeat: string | null,
  *   fields: FormField[],
- *   of_readings?: FormField[],
- *   of_names?: FormField[],
- *   of_tables?: Record<string, FormField[]>,
+ *   reading_fields?: FormField[],
+ *   name_fields?: FormField[],
+ *   table_fields?: Record<string, FormField[]>,
  * }} FormSection
  */
 
@@ -409,9 +409,9 @@
  *   symbol: string,
  *   source: string,
  *   words: string,
- *   known: string,
- *   now: string,
- *   left: string,
+ *   assumed_u: string,
+ *   current_u: string,
+ *   remaining_u: string,
  * }} PriorImprovement
  */
 
@@ -421,8 +421,8 @@
  *   attitude: string,
  *   count: number,
  *   minutes: string,
- *   left: string,
- *   now: string,
+ *   remaining_u: string,
+ *   current_u: string,
  * }} RunImprovement
  */
 
@@ -463,7 +463,7 @@
 /**
  * Columns of a record and its used time range.
  * @typedef {{
- *   together: number,
+ *   columns_per_plot: number,
  *   columns: RecordColumn[],
  *   rows: number,
  *   first: number,
@@ -485,7 +485,7 @@
  * @typedef {{
  *   time: number[],
  *   columns: ((number | null)[])[],
- *   whole: boolean,
+ *   is_complete: boolean,
  * }} RecordWindow
  */
 
@@ -607,7 +607,7 @@
  * @typedef {{
  *   key: string,
  *   words: string,
- *   whole: boolean,
+ *   is_integer: boolean,
  *   unit: string,
  *   factor: number,
  *   value: number,

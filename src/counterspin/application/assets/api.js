@@ -125,7 +125,7 @@ export const uploadFile = async (name, file) =>
  * @param {Record<string, string>} parameters
  */
 export async function saveFile(name, parameters) {
-  const { ticket } = await send("POST", "ticket", { name, said: parameters });
+  const { ticket } = await send("POST", "ticket", { name, parameters });
   const link = document.createElement("a");
   link.href = `/api/ticket/${ticket}`;
   link.download = "";

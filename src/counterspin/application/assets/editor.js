@@ -347,25 +347,25 @@ export class Editor {
     if (drawing) details.append(machineDrawing(drawing));
     if (!repeat) {
       details.append(...this.group(section.fields, [key], value ?? {}));
-      if (section.of_names) {
+      if (section.name_fields) {
         for (const [name, limits] of Object.entries(value ?? {})) {
           if (limits && typeof limits === "object") {
-            details.append(this.entry(name, section.of_names, [key, name], limits));
+            details.append(this.entry(name, section.name_fields, [key, name], limits));
           }
         }
         details.append(this.addButton(key));
       }
     } else if (repeat === "names") {
       for (const name of Object.keys(value ?? {})) {
-        const fields = section.of_tables?.[name] ?? section.fields;
+        const fields = section.table_fields?.[name] ?? section.fields;
         details.append(this.entry(name, fields, [key, name], value[name]));
       }
       details.append(this.addButton(key));
     } else {
       const entries = Array.isArray(value) ? value : [];
       entries.forEach((entry, index) => {
-        const fields = section.of_readings && this.content.run_kinds[index] === "reading"
-          ? section.of_readings : section.fields;
+        const fields = section.reading_fields && this.content.run_kinds[index] === "reading"
+          ? section.reading_fields : section.fields;
         details.append(this.entry(entry?.name ?? `${index + 1}`, fields, [key, index], entry));
       });
       details.append(make("button", {

@@ -111,13 +111,13 @@ export async function improvementsPart(name, result) {
     const ownerText = response.ways.length > 1 ? ` of ${accelerometer}` : "";
     const runLines = runs ? [make("li", {},
       ...setSymbols(`Add ${runs.count} run${runs.count === 1 ? "" : "s"} with attitude ${runs.attitude} (${runs.minutes} min of records): ` +
-        `the uncertainty of ${stated.symbol}${ownerText} would fall from ${runs.now} to ${runs.left}. `),
+        `the uncertainty of ${stated.symbol}${ownerText} would fall from ${runs.current_u} to ${runs.remaining_u}. `),
       make("button", { type: "button",
         onclick: prepare(accelerometer, "runs", "These runs were added to a copy of the campaign. Record them, then calibrate the copy.") }, "Prepare a copy with these runs"))]
       : response.searched ? [make("li", {}, `No run at another attitude would reduce the uncertainty of ${stated.symbol}${ownerText}.`)] : [];
     return [make("li", {},
-      ...setSymbols(`Measure or specify the ${termLabel({ name: stated.source, words: stated.words })}, with a standard uncertainty of ${stated.known}: ` +
-        `the uncertainty of ${stated.symbol}${ownerText} would fall from ${stated.now} to ${stated.left}. `),
+      ...setSymbols(`Measure or specify the ${termLabel({ name: stated.source, words: stated.words })}, with a standard uncertainty of ${stated.assumed_u}: ` +
+        `the uncertainty of ${stated.symbol}${ownerText} would fall from ${stated.current_u} to ${stated.remaining_u}. `),
       make("button", { type: "button",
         onclick: prepare(accelerometer, "state", "The copy of the campaign contains the assumed value. " +
           "Replace it with your measured value.") }, "Prepare a copy with this value")),

@@ -132,7 +132,7 @@ export async function planView(name) {
     const output = make("output", { for: id, "aria-live": "off" }, formatLimit(limit.value / limit.factor));
     if (limit.key === "total_time") return timeField(id, limit, (seconds) => setLimit(limit.key, seconds));
     const slider = make("input", {
-      id, type: "range", min: limit.low / limit.factor, max: limit.high / limit.factor, step: limit.whole ? 1 : "any",
+      id, type: "range", min: limit.low / limit.factor, max: limit.high / limit.factor, step: limit.is_integer ? 1 : "any",
       value: limit.value / limit.factor,
       "aria-valuetext": output.textContent,
       oninput: () => {

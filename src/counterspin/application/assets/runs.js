@@ -24,8 +24,8 @@ class RecordPlots {
     this.run = run;
     this.overview = overview;
     // Columns that share a chart: data and fit.
-    this.columnsPerChart = overview.together;
-    this.firstColumns = overview.columns.filter((/** @type {any} */ _, /** @type {number} */ index) => index % overview.together === 0);
+    this.columnsPerChart = overview.columns_per_plot;
+    this.firstColumns = overview.columns.filter((/** @type {any} */ _, /** @type {number} */ index) => index % overview.columns_per_plot === 0);
     this.fullRange = [overview.first, overview.last];
     this.shownRange = [...this.fullRange];
     this.charts = /** @type {any[]} */ ([]);
@@ -88,7 +88,7 @@ class RecordPlots {
         chart.setScale("x", { min: low, max: high });
       });
     });
-    this.status.textContent = response.whole
+    this.status.textContent = response.is_complete
       ? "The plot shows every row."
       : "Each pixel column shows the minimum and maximum of several rows " +
         `(${this.overview.rows.toLocaleString("en")} rows in total).`;
