@@ -168,12 +168,12 @@ NUMBERS = [
     ("diagnosis", "| each record, at {} times, and", [ranking.STEP_COUNT]),
     (
         "diagnosis",
-        "velocity must be 1 within {} %",
+        "velocity must be 1 to within {} %",
         [100 * (mistakes._FULL_CORIOLIS_RANGE[1] - 1)],
     ),
     (
         "diagnosis",
-        "differs by less than {}, or by less than {} % of the gain",
+        "values differ by less than {}, or by less than {} % of the gain",
         [ranking._DECISIVE_CHI2, 100 * ranking._DECISIVE_FRACTION],
     ),
     (
@@ -181,8 +181,8 @@ NUMBERS = [
         "one of these explanations first, and then up to {} others",
         [search._MAX_RIVALS],
     ),
-    ("diagnosis", "until up to {} causes", [search._MAX_CAUSES]),
-    ("diagnosis", "effects below {} % of its size", [100 * search._MIN_RELATIVE_SIZE]),
+    ("diagnosis", "and ends after at most {} causes", [search._MAX_CAUSES]),
+    ("diagnosis", "effects smaller than {} % of this error", [100 * search._MIN_RELATIVE_SIZE]),
     ("diagnosis", "on priors occur in at most {} % of good campaigns", [CAUSES]),
     ("diagnosis", "results (`run-disagrees`): {} % of campaigns", [ALARMS]),
     ("diagnosis", "(`noise-differs`): {} % of campaigns, by", [ALARMS]),
@@ -202,12 +202,12 @@ NUMBERS = [
     ("diagnosis", "sine of 1 to {} times the head's angle", [patterns._N_HARMONICS]),
     (
         "diagnosis",
-        "constant of {} or {} of the duration of the series",
+        "constant of {} or {} times the duration of the series",
         [*patterns._WARM_UP_TIME_CONSTANTS],
     ),
     (
         "diagnosis",
-        "explanation whose chi-square is within {} of the best one",
+        "explanation whose chi-square is within {} of the minimum",
         [patterns._DECISIVE_CHI2],
     ),
     ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.MAX_RANDOM_WALK]),

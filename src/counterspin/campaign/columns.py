@@ -111,7 +111,7 @@ class AngleChannel(_Channel):
     """``angle``: column of the spindle angle, or of the times of index pulses."""
 
     pulses: bool = key_field(
-        "whether the column contains the times, in `unit`, at which the arm passed `zero`",
+        "whether the column contains the times (in `unit`) at which the arm passed `zero`",
         False,
         False,
     )
@@ -215,8 +215,8 @@ class TableDialect(SettingsSection):
         "whether a units row follows the column names", True, None, absent="detected"
     )
     skip_footer: Annotated[int, Field(ge=0)] | None = key_field(
-        "number of lines (or sheet rows) at the end of the file that are not data, such as a "
-        "mean or a signature",
+        "number of lines (or sheet rows) after the data at the end of the file, such as a mean or "
+        "a signature",
         2,
         None,
         absent="none",
@@ -276,7 +276,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
         "relative rate error of the recorder's clock; positive if the clock runs fast; see below",
         "0 ± 1e-7",
         None,
-        kind="number ±, or in ppm",
+        kind="number ± or value ± in ppm",
     )
     cutoff_frequency: (
         Annotated[Quantity, uncertain_quantity("Hz"), AfterValidator(check_positive)] | None

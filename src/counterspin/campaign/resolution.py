@@ -80,7 +80,7 @@ class CampaignDocument(SettingsSection):
 
     schema_version: Schema = key_field("version of this format", 1, kind="number", alias="schema")
     campaign: Annotated[dict[str, Any], Section(CampaignSettings)] = key_field(
-        "[heading and identification of the report](#campaign)", {}, {}
+        "[title and identification data for the reports](#campaign)", {}, {}
     )
     site: Annotated[dict[str, Any], Section(SiteSettings)] = key_field(
         "[location of the centrifuge](#site)", {}

@@ -190,9 +190,9 @@ class Run(SettingsSection):
         applies_to=READINGS,
     )
     stated_attitude: AttitudeField = key_field(
-        "attitude of the platform in this run; at rest, this key or `axes` is required. `±` gives "
-        "the uncertainty of the dividing head in a reading, or of the table angle in a record "
-        "with a `table_ratio`. `unknown` marks a pose of a triad",
+        "attitude of the platform in this run; at rest, either this key or `axes` is required. "
+        "`±` gives the uncertainty of the dividing head in a reading, or of the table angle in a "
+        "record with a `table_ratio`. `unknown` marks a pose of a triad",
         "90 deg about east",
         absent="level",
         kind="attitude",
@@ -267,7 +267,7 @@ class Run(SettingsSection):
         applies_to=RECORDS,
     )
     pulses: RecordFile | None = key_field(
-        "file with the column of pulse times",
+        "file that contains the column of pulse times",
         "run1-index.csv",
         None,
         absent="in the record",

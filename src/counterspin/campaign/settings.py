@@ -136,11 +136,11 @@ class CentrifugeSettings(SettingsSection):
     )
     clock: Annotated[Fraction, AfterValidator(check_clock_error)] | None = key_field(
         "relative rate error of the clock that measures the rates of readings; positive if the "
-        "clock runs fast. If absent, counterspin uses the clock of `[records]`, or else the "
-        "default standard uncertainty",
+        "clock runs fast. By default, counterspin uses the clock of `[records]` or, if that is not "
+        "stated either, the default standard uncertainty",
         "0 ± 2 ppm",
         None,
-        kind="number ±, or in ppm",
+        kind="number ± or value ± in ppm",
     )
     strapped: bool = key_field(
         "whether the recorded accelerometers are strapped to the counter-rotating table. If true, "
@@ -203,7 +203,7 @@ class Output(SettingsSection):
         "sensitivity divided by this value",
         "1.25 mA/g",
         None,
-        absent="exactly 1 if the output is in g, `mg` or a similar unit",
+        absent="exactly 1 if the output is in `g`, `mg` or a similar unit",
         kind="text",
         validate_default=True,
     )
@@ -306,8 +306,8 @@ class NoiseSettings(StatedNoise):
     """[noise]: noise levels, or a static record from which they are estimated."""
 
     rest: Annotated[Text, AfterValidator(check_record_name)] | None = key_field(
-        "static record from which counterspin estimates the noise components that you omit in this "
-        "table",
+        "static record from which counterspin estimates the noise components that you omit from "
+        "this table",
         "rest.csv",
         None,
         alias="from",

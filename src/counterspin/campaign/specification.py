@@ -77,12 +77,13 @@ class Specifications(SettingsSection):
     __pydantic_extra__: dict[str, str | dict[str, str]] = Field(init=False)
 
     decision_rule: Annotated[RuleName, PlainValidator(_check_rule_name)] = key_field(
-        "decision rule for pass or fail", "simple", "guarded"
+        "rule for deciding between pass and fail", "simple", "guarded"
     )
     guard_factor: Annotated[
         float, PlainValidator(_check_number), AfterValidator(_check_guard_factor)
     ] = key_field(
-        "width of the guard band, divided by the expanded uncertainty U; only with `guarded`",
+        "width of the guard band, divided by the expanded uncertainty U; only with the rule "
+        "`guarded`",
         0.5,
         1.0,
         kind="number",
@@ -90,7 +91,10 @@ class Specifications(SettingsSection):
     conformance_probability: Annotated[
         float, PlainValidator(_check_number), AfterValidator(_check_probability)
     ] = key_field(
-        "required probability of conformity; only with `probability`", 0.99, 0.95, kind="number"
+        "required probability of conformity; only with the rule `probability`",
+        0.99,
+        0.95,
+        kind="number",
     )
 
     process: dict[str, str] = key_field(

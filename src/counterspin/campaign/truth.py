@@ -83,7 +83,7 @@ class CentrifugeDimensions(SettingsSection):
         "20 ppm",
         None,
         absent=_AS_STATED,
-        kind="number, or in ppm",
+        kind="number or value in ppm",
     )
 
 
@@ -128,7 +128,7 @@ class RippleSettings(SettingsSection):
         "amplitude of the fluctuation divided by the rate, w_n/w0",
         "0.5 ppm",
         None,
-        kind="number, or in ppm",
+        kind="number or value in ppm",
     )
     amplitude: Annotated[float, exact_quantity("rad/s")] | None = key_field(
         "amplitude of the fluctuation, w_n", "1e-6 rad/s", None
@@ -158,7 +158,7 @@ class SpindleTruthSettings(SettingsSection):
         "5 ppm",
         None,
         absent="0",
-        kind="number, or in ppm",
+        kind="number or value in ppm",
     )
 
 

@@ -100,7 +100,7 @@ class CertificateSettings(SettingsSection):
     )
     language: Language = key_field(
         "language of the laboratory's entries in this file; the standard texts are in English, "
-        "which is the binding version",
+        "and the English version is binding",
         "de",
         "en",
         kind="language",

@@ -68,7 +68,8 @@ class PairAgreement(ResultPart):
     terms: list[str]  #: Terms that both results determine.
     chi2: float  #: Chi-square of all differences.
     dof: int  #: Degrees of freedom of the differences.
-    #: Probability of a larger chi-square by chance (p-value); null without degrees of freedom.
+    #: Probability of a larger chi-square by chance (p-value); ``null`` if there are no degrees of
+    #: freedom.
     p: float | None
     shared: list[str]  #: Sources of uncertainty common to both results, in addition to the records.
     assumed: list[str]  #: Assumptions about the correlation, as text.
@@ -179,7 +180,7 @@ class RepeatedCalibration(ReportableResult):
 
     result: str  #: File or title of the original result.
     same: bool  #: Whether all estimates, uncertainties and states agree within `limit`.
-    limit: float  #: Largest value of `relative` up to which two numbers count as equal.
+    limit: float  #: Value of `relative` up to which two numbers count as equal.
     #: Largest value of `relative` of all coefficients; null if only one of the two results has a
     #: number.
     largest: float | None
@@ -187,8 +188,8 @@ class RepeatedCalibration(ReportableResult):
     coefficients: list[RepeatedCoefficient]  #: Coefficients of both results.
     state_before: str | None  #: State of the original result.
     state_now: str | None  #: State of the repeated calibration.
-    changes: list[Change]  #: Other differences in checksums of inputs, versions and environment.
-    #: Inputs that were found under another name, with the name in the result and the path.
+    changes: list[Change]  #: Other differences: input checksums, versions and environment.
+    #: Inputs that were found under another name, each with its name in the result and its path.
     moved: dict[str, str] = {}
     unsealed: list[str] = []  #: Label of the original result, if its file has no seal.
 
