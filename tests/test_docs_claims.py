@@ -332,8 +332,8 @@ def test_estimating_is_better_than_considering():
         "u(K_II) is {} g",
     )
     for number, held in zip(numbers, ([*known.model.considered], ["K_IP"]), strict=True):
-        found = cs.forecast(known.change({"model": {"hold": held}})).u["Qx.K_II"]
-        assert agrees_to_last_digit(number, found)
+        estimated_u = cs.forecast(known.change({"model": {"hold": held}})).u["Qx.K_II"]
+        assert agrees_to_last_digit(number, estimated_u)
 
 
 def test_approximate_ratio_matches_terms():

@@ -105,8 +105,8 @@ def test_tasks_have_at_most_five_lines(task):
 
 
 def test_frames_are_calibrated(records):
-    found = task_calibrate_frames(frames.parse_description_without_truth(), records)
-    assert abs(found.value - 2.7e-5) < 4.0 * found.u
+    result = task_calibrate_frames(frames.parse_description_without_truth(), records)
+    assert abs(result.value - 2.7e-5) < 4.0 * result.u
 
 
 def test_models_are_compared(campaign):

@@ -51,10 +51,10 @@ def test_live_event_is_listed_once(monkeypatch):
         complete=True,
     )
     monkeypatch.setattr("counterspin.monitoring.watch.watch", lambda *_, **__: [state])
-    (_, told), *_ = run_inline(jobs.run_live_view, None, "")
-    assert told["events"] == [event]
-    assert event not in told["html"]
-    assert told["html"].count("Every run has reached the duration stated in the campaign.") == 1
+    (_, message), *_ = run_inline(jobs.run_live_view, None, "")
+    assert message["events"] == [event]
+    assert event not in message["html"]
+    assert message["html"].count("Every run has reached the duration stated in the campaign.") == 1
 
 
 def test_live_worker_stops_without_viewers(app, page, monkeypatch):

@@ -64,8 +64,8 @@ def test_form_sections_link_to_existing_manual_pages():
             help_text = field["help"]
             for words, address in field["links"]:
                 require_target(address)
-                _, found, help_text = help_text.partition(words)
-                assert found, field
+                _, separator, help_text = help_text.partition(words)
+                assert separator, field
                 links[section["key"], field["key"]] = address
     assert links["certificate", "ledger"] == "certificate#keep-a-ledger"
     assert links["accelerometers", "output"] == "readings"

@@ -63,8 +63,8 @@ def test_exports_to_certificate_workflow(open_window, app, folder):
     assert "token" not in tab.url
     records = [folder / "three" / f"{run}.csv" for run in ("slow", "middle", "fast")]
     tab.get_by_label("Recorder files").set_input_files(records)
-    for question, said in PLACE:
-        find_answer_field(tab, question).fill(said)
+    for question, place_answer in PLACE:
+        find_answer_field(tab, question).fill(place_answer)
     leave_and_return(tab)
     # The drawing shows the requested axes and angle.
     tab.get_by_role("img", name="Double turntable").wait_for()
@@ -85,8 +85,8 @@ def test_exports_to_certificate_workflow(open_window, app, folder):
     with tab.expect_response(lambda answer: answer.url.endswith("/api/draft")):
         tab.get_by_label("Recorder files").set_input_files(records[::-1])
     tab.get_by_label("Latitude", exact=True).wait_for()
-    for question, said in PLACE:
-        find_answer_field(tab, question).fill(said)
+    for question, place_answer in PLACE:
+        find_answer_field(tab, question).fill(place_answer)
     # A reloaded page finds the running calibration; another job is simulated,
     # so that the calibration does not end first.
     with app.jobs._run_lock:

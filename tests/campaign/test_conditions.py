@@ -237,8 +237,8 @@ def test_direction_follows_from_turning_points(temperatures, ways, tmp_path):
             for place, temperature in enumerate(temperatures)
         ],
     }
-    found = temperature_directions(make_campaign(described))
-    assert [2 * found.get(str(place), (0,))[0] for place in range(len(ways))] == ways
+    directions = temperature_directions(make_campaign(described))
+    assert [2 * directions.get(str(place), (0,))[0] for place in range(len(ways))] == ways
     # Ordered by time if all runs state it.
     for place, run in enumerate(described["runs"]):
         run["time"] = f"{-place} min"
@@ -246,7 +246,7 @@ def test_direction_follows_from_turning_points(temperatures, ways, tmp_path):
     mirrored = _reverse_temperatures(temperatures)
     assert [2 * back.get(str(place), (0,))[0] for place in range(len(ways))] == mirrored
     del described["runs"][0]["time"]
-    assert temperature_directions(make_campaign(described)) == found
+    assert temperature_directions(make_campaign(described)) == directions
 
 
 def _reverse_temperatures(temperatures):

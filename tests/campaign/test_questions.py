@@ -94,13 +94,13 @@ UPRIGHT = (
 
 
 def test_unrecorded_axis_of_own_velocity_is_a_question(tmp_path):
-    found = ask_questions(write_and_read_campaign(tmp_path, replace_parts(SURE, OWN_VELOCITY)))
+    questions = ask_questions(write_and_read_campaign(tmp_path, replace_parts(SURE, OWN_VELOCITY)))
     # An upward velocity error acts towards west through the Earth's rotation.
-    assert [(q.code, q.subject) for q in found] == [("unrecorded-axis", "Qx.K_F")]
+    assert [(q.code, q.subject) for q in questions] == [("unrecorded-axis", "Qx.K_F")]
     # 2 Omega cos L x 1 mg x 100 s / 2
     assert (
         "An error of 1 mg along one of these directions shifts K_F by 5e-06 g in a run of 100 s"
-        in found[0].text
+        in questions[0].text
     )
     whole = replace_parts(SURE, OWN_VELOCITY, ("[noise]\n", UPRIGHT))
     assert collect_questions(tmp_path, whole) == []
@@ -114,9 +114,9 @@ def test_own_velocity_has_no_effect_on_recorded_force(tmp_path):
         ('unit = "m" }', 'unit = "m/s^2" }'),
         ('displacement = "0.01 m"', 'specific_force = "1 mg"'),
     )
-    (found,) = ask_questions(write_and_read_campaign(tmp_path, text))
-    assert found.subject == "records.reference"
-    assert "has no effect here" in found.text
+    (question,) = ask_questions(write_and_read_campaign(tmp_path, text))
+    assert question.subject == "records.reference"
+    assert "has no effect here" in question.text
 
 
 def test_values_without_uncertainty_are_questions(tmp_path):

@@ -56,13 +56,13 @@ def state_noise(folder, largest_white_noise):
 
 
 def test_largest_estimated_noise_is_simulated(folder, largest_white_noise):
-    made, stated = (
+    estimated, stated = (
         cs.simulate(c) for c in (read_campaign(folder), state_noise(folder, largest_white_noise))
     )
-    for first, second in zip(made.runs, stated.runs, strict=True):
-        frames = made.record_at(first.record).frame(), stated.record_at(second.record).frame()
+    for first, second in zip(estimated.runs, stated.runs, strict=True):
+        frames = estimated.record_at(first.record).frame(), stated.record_at(second.record).frame()
         assert frames[0].equals(frames[1])
-    assert cs.calibrate(made).accelerometers["Qy"].noise["displacement"].record == "rest.csv"
+    assert cs.calibrate(estimated).accelerometers["Qy"].noise["displacement"].record == "rest.csv"
 
 
 def test_stated_true_noise_overrides_estimate(folder, tmp_path):

@@ -208,8 +208,8 @@ def test_assume_selects_terms(assume, taken, not_taken):
     ],
 )
 def test_assume_rejects_unknown_or_inactive_term(assume, problem):
-    _, _, (told,) = resolve_terms({"Qx": QX}, terms=["K_F"], assume=assume)
-    assert told.endswith(problem)
+    _, _, (message,) = resolve_terms({"Qx": QX}, terms=["K_F"], assume=assume)
+    assert message.endswith(problem)
 
 
 @pytest.mark.parametrize("key", ["hold", "considered"])

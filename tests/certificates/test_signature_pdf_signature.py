@@ -181,8 +181,8 @@ def test_openssl_verifies_signature_of_whole_file(tmp_path, signed_pages, kind):
 
     def verify_with_openssl(content):
         match = re.search(rb"/ByteRange *\[ *(\d+) +(\d+) +(\d+) +(\d+)", content)
-        first, length, second, rest = map(int, match.groups())
-        assert (first, second + rest) == (0, len(content))
+        first, length, second, last_length = map(int, match.groups())
+        assert (first, second + last_length) == (0, len(content))
         (tmp_path / "covered").write_bytes(content[:length] + content[second:])
         # The hexadecimal digits between < and > are padded with zeros.
         padded_signature = bytes.fromhex(content[length + 1 : second - 1].decode("ascii"))

@@ -126,12 +126,12 @@ def test_interval_of_single_variance_matches_chi_square(freedom):
     """n + 1 values without known errors: s^2 by chi-square with n degrees of freedom."""
     n = freedom + 1
     values = np.random.default_rng(n).standard_normal(n)
-    found = variance_components(
+    component = variance_components(
         values, np.zeros((n, n)), {"all": list(range(n))}, mean_of(n)
     ).components["all"]
     s = values.std(ddof=1)
-    assert found.value == pytest.approx(s, rel=1e-4)
-    shown = freedom * (s / found.high) ** 2, freedom * (s / found.low) ** 2
+    assert component.value == pytest.approx(s, rel=1e-4)
+    shown = freedom * (s / component.high) ** 2, freedom * (s / component.low) ** 2
     covered = chi2.cdf(shown[1], freedom) - chi2.cdf(shown[0], freedom)
     assert covered == pytest.approx(0.95, abs=1e-3)
     # At both ends the likelihood is the same: -2 l rises by n (w - 1 - log w).

@@ -82,8 +82,8 @@ def test_missing_information_is_asked(tmp_path):
     assert keys == texts
     with pytest.raises(CampaignError) as caught:
         make_record_draft([path], sense="left", nonsense="1").make_document(tmp_path)
-    told = [line.partition(":")[0] for line in caught.value.problems]
-    assert told == ["per_revolution", "p is", "p unit", "p axis", "sense", "nonsense"]
+    requested_keys = [line.partition(":")[0] for line in caught.value.problems]
+    assert requested_keys == ["per_revolution", "p is", "p unit", "p axis", "sense", "nonsense"]
     more = {"per_revolution": "197386,9", "sense": "cw", "p is": "Weg", "p axis": "North"}
     document = make_record_draft([path], **more, **{"p unit": "m"}).make_document(
         tmp_path / "there"

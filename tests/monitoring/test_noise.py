@@ -296,11 +296,11 @@ def test_sampling_rate_replaces_time_column():
     _, values = make_columns()
     frame = {"Qx_g": values / G}
     (signal,) = cs.noise(frame, sampling_rate="100 Hz").signals
-    found, expected = (
+    component_values, expected = (
         {key: component.value for key, component in each.components.items()}
         for each in (signal, estimate_from_frame())
     )
-    assert found == expected
+    assert component_values == expected
 
 
 @pytest.mark.slow

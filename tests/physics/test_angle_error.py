@@ -39,9 +39,9 @@ def test_angle_error_covariance_covers_true_angle(revolutions):
     distance, trials = 0.0, 200
     for seed in range(trials):
         fit = simulate_and_fit(times, true, [1, seed])
-        found, left = deviation_from_truth(fit, times, true)
+        deviation, left = deviation_from_truth(fit, times, true)
         assert left < 1e-3 * 1e-4
-        z = np.linalg.solve(fit.error.root, found - fit.error.deviation)
+        z = np.linalg.solve(fit.error.root, deviation - fit.error.deviation)
         distance += z @ z
     unknowns = fit.error.deviation.size
     assert abs(distance - trials * unknowns) < 4 * math.sqrt(2 * trials * unknowns)

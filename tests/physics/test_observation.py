@@ -515,13 +515,13 @@ def test_cached_columns_are_distinguished_by_all_arguments():
     ]
     times = np.linspace(0.0, 20.0, 60)
     together = [columns(t, a, s, times, o, attitude=c) for t, a, s, o, c in argument_sets]
-    for found, (trajectory, axes, symbols, observable, attitude) in zip(
+    for cached_columns, (trajectory, axes, symbols, observable, attitude) in zip(
         together, argument_sets, strict=True
     ):
         kept, turning = observation._short_integrals, motion._cached_spindle_state
         kept.cache_clear(), turning.cache_clear()
         alone = columns(trajectory, axes, symbols, times, observable, attitude=attitude)
-        np.testing.assert_array_equal(found, alone)
+        np.testing.assert_array_equal(cached_columns, alone)
     assert len({one.tobytes() for one in together}) == len(together)
 
 

@@ -73,13 +73,13 @@ def test_correction_and_its_inverse_match_equation_of_motion(errors_with_corioli
     platform = record_errors(errors_without_coriolis(), AXES, observables)
     own = record_errors(errors_with_coriolis, AXES, observables)
     back = computer_correction(SITE, own)
-    for before, after, found, part in zip(
+    for before, after, velocity_error, part in zip(
         platform, own, own_velocity_errors(SITE, platform), back, strict=True
     ):
         size = np.abs(before.error).max()
         # What the computer does is 1e-2 of the error, and of that all is found.
         assert np.abs(after.error - before.error).max() > 1e-3 * size
-        np.testing.assert_allclose(found, after.error, rtol=0.0, atol=1e-9 * size)
+        np.testing.assert_allclose(velocity_error, after.error, rtol=0.0, atol=1e-9 * size)
         np.testing.assert_allclose(after.error + part, before.error, rtol=0.0, atol=1e-9 * size)
 
 
@@ -87,8 +87,8 @@ def test_correction_sign_matches_hand_calculation():
     """A velocity error v north removes 2 Omega sin L v east in excess."""
     north = AxisError(np.array([0.0, 1.0, 0.0]), "velocity", TIMES, np.full(TIMES.size, 0.1))
     east = AxisError(np.array([1.0, 0.0, 0.0]), "velocity", TIMES, np.zeros(TIMES.size))
-    found, _ = own_velocity_errors(SITE, [east, north])
-    assert found[-1] == pytest.approx(2.0 * OMEGA[2] * 0.1 * 400.0, rel=1e-3)
+    velocity_error, _ = own_velocity_errors(SITE, [east, north])
+    assert velocity_error[-1] == pytest.approx(2.0 * OMEGA[2] * 0.1 * 400.0, rel=1e-3)
     np.testing.assert_allclose(coriolis(SITE) @ [0, 0.1, 0], 2 * np.cross(OMEGA, [0, 0.1, 0]))
 
 

@@ -143,12 +143,12 @@ def test_double_turntable_means_match_closed_form():
     rate, radius, site = 3.0, 2.5, Site(9.8, 0.7, earth_rate=0.0)
     means = station_means(Station("counter-rotating", QX, rate=rate, radius=radius), site, SYMBOLS)
     size = radius * rate**2 / site.gravity
-    found = dict(zip(SYMBOLS, means, strict=True))
-    assert found["K_II"] == pytest.approx(size**2 / 2.0, rel=1e-14)
-    assert found["K_OO"] == pytest.approx(size**2 / 2.0, rel=1e-14)
-    assert found["K_PP"] == pytest.approx(1.0, rel=1e-14)
+    mean_by_symbol = dict(zip(SYMBOLS, means, strict=True))
+    assert mean_by_symbol["K_II"] == pytest.approx(size**2 / 2.0, rel=1e-14)
+    assert mean_by_symbol["K_OO"] == pytest.approx(size**2 / 2.0, rel=1e-14)
+    assert mean_by_symbol["K_PP"] == pytest.approx(1.0, rel=1e-14)
     for symbol in ("K_I", "K_III", "K_IO"):
-        assert abs(found[symbol]) < 1e-15 * size**3
+        assert abs(mean_by_symbol[symbol]) < 1e-15 * size**3
 
 
 def test_stretch_lengthens_radius_in_proportion_to_acceleration():
@@ -270,9 +270,9 @@ def test_cubic_of_stretching_arm_matches_literature(inputs, expected):
         rate = math.sqrt(abs(a) * site.gravity)
         station = make_arm(side, "up", rate=rate, radius=1.0, stretch=stretch)
         actual.append(station_means(station, site, ["K_I"])[0])
-    for found, printed in zip(fit_cubic(inputs, np.array(actual)), expected, strict=True):
+    for coefficient, printed in zip(fit_cubic(inputs, np.array(actual)), expected, strict=True):
         half_a_digit = 0.5 * float(Decimal((0, (1,), Decimal(printed).as_tuple().exponent)))
-        assert abs(found - float(printed)) <= half_a_digit
+        assert abs(coefficient - float(printed)) <= half_a_digit
 
 
 @pytest.mark.parametrize("start", [0.0, 0.3])

@@ -449,7 +449,7 @@ def test_poses_are_best_of_all_choices(tmp_path):
     model = '[model]\nassume = "all"\nterms = ["K_F", "K_I"]\n'
     file = tmp_path / "plan.toml"
     file.write_text(_poses(9, '["X.K_F"]', model=model, up=f"up = {json.dumps(ups)}"))
-    found = plan(file).u["X.K_F"]
+    planned_u = plan(file).u["X.K_F"]
     # Of a pose one number is left: what is felt along the force. Bias i acts on it by the
     # force's part n_i, sensitivity i by its square.
     n = np.array([*np.kron(np.eye(3), [[1.0], [-1.0]]), [3**-0.5] * 3, [-(3**-0.5)] * 3])
@@ -459,7 +459,7 @@ def test_poses_are_best_of_all_choices(tmp_path):
     counts = (choices[:, :, None] == np.arange(len(ups))).sum(axis=1)
     weak = 1e-3 * np.eye(6)
     u = np.sqrt(np.linalg.inv(np.tensordot(counts, each, axes=1) + weak)[:, 0, 0])
-    assert found == pytest.approx(u.min(), rel=2e-3)
+    assert planned_u == pytest.approx(u.min(), rel=2e-3)
     assert np.median(u) > 1.2 * u.min()
 
 

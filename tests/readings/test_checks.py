@@ -60,12 +60,12 @@ def lack_of_fit_findings(result):
 def test_missing_term_is_named_with_collinear_terms(tmp_path, u):
     truth = {**LEVEL, "K_II": 15e-6}
     values = simulate_readings(make_tumble(24), np.random.default_rng(1), SIGMA, truth=truth)
-    (found,) = lack_of_fit_findings(
+    (finding,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, evenly_spaced_angles(24), values, u=u)
     )
-    assert found.contradicts
-    assert "follow cos 2 phi, where phi is the head" in found.text
-    assert "K_II or K_PP in the accelerometer" in found.text
+    assert finding.contradicts
+    assert "follow cos 2 phi, where phi is the head" in finding.text
+    assert "K_II or K_PP in the accelerometer" in finding.text
     fitting = calibrate_readings(
         tmp_path, evenly_spaced_angles(24), values, u=u, terms=(*LEVEL, "K_II")
     )
@@ -86,10 +86,10 @@ def test_head_wave_without_stated_u_contradicts(tmp_path):
 def test_drift_of_ten_times_noise_is_named(tmp_path, u):
     values = simulate_readings(make_tumble(24), np.random.default_rng(3), SIGMA, truth=LEVEL)
     values += 10.0 * SIGMA * np.linspace(0.0, 1.0, 24)
-    (found,) = lack_of_fit_findings(
+    (finding,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, evenly_spaced_angles(24), values, u=u)
     )
-    assert "drift with the order of the readings" in found.text
+    assert "drift with the order of the readings" in finding.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -98,9 +98,9 @@ def test_hysteresis_of_five_times_noise_is_named(tmp_path, u):
     values = simulate_readings(test, np.random.default_rng(4), SIGMA, truth=LEVEL)
     # The last position of the way there is read again without a move.
     values[:13] += 5.0 * SIGMA
-    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
-    assert "at rest depend on the direction from which a position was approached" in found.text
-    assert found.size > 5.0
+    (finding,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
+    assert "at rest depend on the direction from which a position was approached" in finding.text
+    assert finding.size > 5.0
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -109,8 +109,8 @@ def test_reversing_drift_in_mirrored_order_is_named(tmp_path, u):
     test, angles = mirrored_tumble()
     values = simulate_readings(test, np.random.default_rng(12), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.linspace(-1.0, 1.0, 24) ** 2
-    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
-    assert "drift with the order of the readings and reverse" in found.text
+    (finding,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
+    assert "drift with the order of the readings and reverse" in finding.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -194,8 +194,8 @@ def test_oscillation_of_room_temperature_is_named(tmp_path, u):
     test, angles = mirrored_tumble()
     values = simulate_readings(test, np.random.default_rng(18), SIGMA, truth=LEVEL)
     values += 12.0 * SIGMA * np.sin(2.0 * math.pi * 2.4 * np.linspace(0.0, 1.0, 24) + 0.5)
-    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
-    assert "oscillate 2.5 times with the order of the readings" in found.text
+    (finding,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
+    assert "oscillate 2.5 times with the order of the readings" in finding.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -204,8 +204,8 @@ def test_steady_rotation_of_positions_is_named(tmp_path, u):
     test, angles = mirrored_tumble()
     values = simulate_readings(test, np.random.default_rng(19), SIGMA, truth=LEVEL)
     values -= 4e-5 * np.linspace(0.0, 1.0, 24) * np.sin(np.radians(angles))
-    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
-    assert "have the pattern of positions that rotate more and more with the order" in found.text
+    (finding,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
+    assert "have the pattern of positions that rotate more and more with the order" in finding.text
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])
@@ -214,10 +214,12 @@ def test_bias_asymmetry_is_named(tmp_path, u):
     angles = evenly_spaced_angles(24)
     values = simulate_readings(make_tumble(24), np.random.default_rng(20), SIGMA, truth=LEVEL)
     values += 2e-5 * np.sign(np.round(np.cos(np.radians(angles)), 9))
-    (found,) = lack_of_fit_findings(
+    (finding,) = lack_of_fit_findings(
         calibrate_readings(tmp_path, angles, values, u=u, terms=(*LEVEL, "K_II"))
     )
-    assert "have the pattern of a bias that is different for negative specific forces" in found.text
+    assert (
+        "have the pattern of a bias that is different for negative specific forces" in finding.text
+    )
 
 
 def test_saturated_fit_is_unjudged(tmp_path):
@@ -233,8 +235,10 @@ def test_saturated_fit_is_unjudged(tmp_path):
 def test_warm_up_is_named(tmp_path):
     values = simulate_readings(make_tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
     values += 20.0 * SIGMA * np.exp(-np.arange(24) / 2.3)
-    (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, evenly_spaced_angles(24), values))
-    assert "settle with the order of the readings, as during a warm-up" in found.text
+    (finding,) = lack_of_fit_findings(
+        calibrate_readings(tmp_path, evenly_spaced_angles(24), values)
+    )
+    assert "settle with the order of the readings, as during a warm-up" in finding.text
 
 
 def test_single_outlying_reading_is_not_pattern(tmp_path):
@@ -254,8 +258,8 @@ def test_missing_cubic_term_on_arm_is_named(tmp_path):
     ]
     model = '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"]\n'
     (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
-    (found,) = lack_of_fit_findings(calibrate(tmp_path))
-    assert found.text.startswith("The residuals of the readings on the arm follow K_III")
+    (finding,) = lack_of_fit_findings(calibrate(tmp_path))
+    assert finding.text.startswith("The residuals of the readings on the arm follow K_III")
 
 
 def calibrate_on_arm(folder, radius, drift=0.0):
@@ -265,7 +269,7 @@ def calibrate_on_arm(folder, radius, drift=0.0):
     """
     terms = '["K_F", "K_I", "K_II", "K_III", "centrifuge.radius"]'
     rates = [math.sqrt(size * 9.80665) for size in (1.0, 2.0, 5.0, 10.0, 15.0, 20.0)]
-    rest = [(0.0, "up", 1.0), (0.0, "down", -1.0)]
+    static_readings = [(0.0, "up", 1.0), (0.0, "down", -1.0)]
     earth = 2.0 * 7.292115e-5 * math.sin(0.8)  # along the spindle
     turning = [
         (rate, way, sign * radius * (rate**2 + rate * earth) / 9.80665)
@@ -273,7 +277,7 @@ def calibrate_on_arm(folder, radius, drift=0.0):
         for way, sign in (("inward", 1.0), ("outward", -1.0))
     ]
     rng, runs = np.random.default_rng(11), []
-    for k, (rate, way, force) in enumerate([*rest, *turning, *rest]):
+    for k, (rate, way, force) in enumerate([*static_readings, *turning, *static_readings]):
         value = 2e-3 + 1.0005 * force + 15e-6 * force**2 + k * drift + SIGMA * rng.standard_normal()
         written = f"{1.25 * value!r} ± {1.25 * SIGMA!r} mA"
         if rate:
@@ -355,8 +359,8 @@ def test_nine_degrees_of_freedom_reveal_fault(tmp_path, kind):
     """In four tumbles of four; a random order keeps time and angle apart."""
     rng = np.random.default_rng(sum(map(ord, kind)))
     for _ in range(4):
-        (found,) = lack_of_fit_findings(calibrate_readings(tmp_path, *simulate_fault(kind, rng)))
-        assert kind in found.text
+        (finding,) = lack_of_fit_findings(calibrate_readings(tmp_path, *simulate_fault(kind, rng)))
+        assert kind in finding.text
 
 
 @pytest.mark.slow
@@ -618,9 +622,9 @@ def test_stated_first_harmonic_of_head_covers_error_of_k_ii(tmp_path):
     for phase in (0.0, 1.0, math.pi):
         values = simulate_readings(make_tumble(), np.random.default_rng(3), 0.0, truth=LEVEL)
         values += error * np.sin(angle + phase) * np.sin(angle)
-        asked = (*LEVEL, "K_II", "K_IP")
+        terms = (*LEVEL, "K_II", "K_IP")
         coefficients = (
-            calibrate_readings(tmp_path, evenly_spaced_angles(12), values, terms=asked)
+            calibrate_readings(tmp_path, evenly_spaced_angles(12), values, terms=terms)
             .accelerometers["A"]
             .coefficients
         )

@@ -78,12 +78,12 @@ def change_angle_scale(size, where):
 def test_undetected_fault_has_stated_shift(tmp_path, pattern, fault):
     usual = calibrate_tumble(tmp_path / "usual")
     stated = usual.accelerometers["A"].unseen_faults
-    (said,) = (
+    (stated_clause,) = (
         match
         for clause in stated
         if (match := re.search(rf"{pattern} shifts (\w+) by ([\d.e-]+) (\S+) \(([\d.]+) ", clause))
     )
-    size, where, symbol, shift, unit, times = said.groups()
+    size, where, symbol, shift, unit, times = stated_clause.groups()
     # At the size that is stated noise decides whether it is seen.
     other = calibrate_tumble(tmp_path / "other", fault(PART * float(size), where))
     assert (other.state, other.findings) == ("good", [])

@@ -72,11 +72,11 @@ def derivative(rate, radius, latitude, angle, about):
 def make():
     """Return the content of the file."""
     assert mpf("7.3e-5") > EARTH_RATE
-    made = []
+    cases = []
     for case in CASES:
         numbers = {k: mpf(v) for k, v in case.items()}
         place = {k: v for k, v in numbers.items() if k not in ("east", "north")}
-        made.append(
+        cases.append(
             {
                 **case,
                 "arm": [nstr(f, DIGITS) for f in on_the_arm(**numbers)],
@@ -86,7 +86,11 @@ def make():
                 },
             }
         )
-    return {"made_by": pathlib.Path(__file__).name, "gravity": nstr(GRAVITY, DIGITS), "cases": made}
+    return {
+        "made_by": pathlib.Path(__file__).name,
+        "gravity": nstr(GRAVITY, DIGITS),
+        "cases": cases,
+    }
 
 
 if __name__ == "__main__":

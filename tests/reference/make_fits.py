@@ -468,16 +468,16 @@ def mixed(folder):
     groups = [Rows(model, values, covariance, free)]
     groups += [readings_of(place, "A", each, 1.0) for each in (at_rest, on_arm)]
     radii = [f"centrifuge.radius.{m}" for m in ("in", "out")]
-    asked = [*(f"A.{s}" for s in ("K_F", "K_I", "K_II", "K_IP", "delta_O")), *radii]
+    requested = [*(f"A.{s}" for s in ("K_F", "K_I", "K_II", "K_IP", "delta_O")), *radii]
     stated = {
         **{"A.K_PP": (0.0, 2e-6), "A.K_IP": (0.0, 5e-6), "A.K_III": (0.0, 1e-6)},
         **{"centrifuge.radius": (0.0, 1e-5), **dict.fromkeys(radii, (arm - 2.5, 1e-3))},
     }
     steps = {"start_angle": 1e-4, "rate": 1e-5, "drift": 1e-6}
     spindle = [Unknown(f"turntable.spindle.{s}", 0.0, step=v) for s, v in steps.items()]
-    fit_result = fit(groups, [*unknowns_of(asked, stated, {}), *spindle], rounds=5)
+    fit_result = fit(groups, [*unknowns_of(requested, stated, {}), *spindle], rounds=5)
     answers = Answers()
-    answers.lines(fit_result, asked, more=dict.fromkeys(radii, 2.5))
+    answers.lines(fit_result, requested, more=dict.fromkeys(radii, 2.5))
     answers.correlation(fit_result, "A")
     answers.budget(fit_result, "A.K_F")
     answers.misfit(fit_result, "A", [0])

@@ -139,7 +139,7 @@ def main():
     related = [[one, other, r] for (one, other), r in RELATED.items()]
     single = [mpf(y) for y in ("0.3", "9.8", "-25", "98")]
     pairs = [tuple(map(mpf, pair)) for pair in (("0", "1"), ("4", "-3"), ("-10", "10"))]
-    found = corrected_alone(single, mpf(-1), mpf("2e-4"), mpf("0.5"))
+    corrected = corrected_alone(single, mpf(-1), mpf("2e-4"), mpf("0.5"))
     coupled = corrected_together(pairs, mpf(-1))
     stated = [
         (mpf("0.005"), mpf("1e-6"), mpf(12), 1, mpf("-5e-4")),
@@ -150,7 +150,7 @@ def main():
         "made_by": pathlib.Path(__file__).name,
         "coefficients": table,
         "correlation": related,
-        "alone": {"corrected": texts(a for a, _ in found), "u": texts(u for _, u in found)},
+        "alone": {"corrected": texts(a for a, _ in corrected), "u": texts(u for _, u in corrected)},
         "together": {"corrected": texts(a for a, _ in coupled), "u": texts(u for _, u in coupled)},
         "certificate": {
             "K_F": texts(lines[0]),

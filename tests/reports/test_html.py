@@ -304,9 +304,9 @@ def test_zoom_data_have_screen_resolution(text, name):
                 continue
             known = [value for value in wanted if value is not None]
             spread = max(known) - min(known)
-            for found, value in zip(unpack(record[key]), wanted, strict=True):
-                assert (found is None) == (value is None)
-                assert found is None or abs(found - value) <= 0.5 * spread / 2e4
+            for unpacked, value in zip(unpack(record[key]), wanted, strict=True):
+                assert (unpacked is None) == (value is None)
+                assert unpacked is None or abs(unpacked - value) <= 0.5 * spread / 2e4
 
 
 def test_logarithmic_zoom_data_keep_relative_precision():

@@ -272,9 +272,9 @@ def test_positioning_error_rotates_instrument_about_axis(tmp_path):
     true = (
         '[truth.machine]\n"fixture.position.1" = "0 rad"\n"fixture.position.1.north" = "0.01 rad"\n'
     )
-    (found,) = simulate_values(tmp_path, SET + true + describe_face("a", "90 deg about north"))
+    (indication,) = simulate_values(tmp_path, SET + true + describe_face("a", "90 deg about north"))
     a = -math.sin(0.01)
-    assert found == pytest.approx(K_F + K_I * a + K_II * a**2 + K_III * a**3, abs=1e-12)
+    assert indication == pytest.approx(K_F + K_I * a + K_II * a**2 + K_III * a**3, abs=1e-12)
 
 
 def test_positioning_errors_have_stated_size(tmp_path):

@@ -255,14 +255,14 @@ def test_u_includes_gravity_and_radius_like_calibration(tmp_path, engine):
                 truth.draw(random_stream(3, 0, 0), 1), random_stream(3, 0, 1)
             )
         )
-    without, found = u_values
-    assert np.array_equal(found.estimate, without.estimate)
+    without, with_inputs = u_values
+    assert np.array_equal(with_inputs.estimate, without.estimate)
     # b2 is K_II R^2 w^4/(4 g) + K_F g/2, with 1e-3 of R and 5e-4 of g.
     # The linear engine states u at the mean true values, whole records that of their estimate.
-    k_ii, k_f = np.abs(analysis_engine.estimate if engine == "auto" else found.estimate[:, 0])
+    k_ii, k_f = np.abs(analysis_engine.estimate if engine == "auto" else with_inputs.estimate[:, 0])
     expected = [np.hypot(2e-3, 5e-4) * k_ii, 5e-4 * k_f]
     # Of a small share of u^2, by a forward difference of 1e-6.
-    assert np.sqrt(found.u**2 - without.u**2)[:, 0] == pytest.approx(expected, rel=3e-6)
+    assert np.sqrt(with_inputs.u**2 - without.u**2)[:, 0] == pytest.approx(expected, rel=3e-6)
 
 
 def test_engines_combine_bias_prior_with_wrong_gravity(tmp_path):

@@ -24,7 +24,7 @@ CHECKS = (
     "counterspin.certificates.signature:verify",
 )
 CERTIFICATE = "counterspin.certificates.issuing:certificate"
-KERNELS = sorted({one.kernel for one in cases()} - {*CHECKS, CERTIFICATE})
+KERNELS = sorted({actual_case.kernel for actual_case in cases()} - {*CHECKS, CERTIFICATE})
 SCHEMA_CASE = "certificate against the DCC schema"
 REQUIREMENTS = {
     "physics",

@@ -185,8 +185,8 @@ K_IP = "1e-4 ± 1e-6 g/g^2"
             name = f"{30 * turn} deg about north"
             text += format_rest_run(f"{len(text)}", name, f"{1.25 * value!r}{u} mA")
     result = calibrate(write_description(tmp_path, text).parent)
-    found = {(finding.code, finding.subject) for finding in result.findings}
-    assert found == {("wrong-mounting", "A"), ("prior-conflict", "A.K_F")}
+    finding_keys = {(finding.code, finding.subject) for finding in result.findings}
+    assert finding_keys == {("wrong-mounting", "A"), ("prior-conflict", "A.K_F")}
 
 
 def make_mounting(gain, dof):

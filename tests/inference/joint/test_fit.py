@@ -280,9 +280,9 @@ def test_two_accelerometers_share_platform():
     # A tilt about north is Qx's alone, about east Qy's; each differs from run to run.
     names = [u.name for u in model.unknowns]
     for axis in ("north", "east"):
-        found = [solution.estimate[names.index(f"{run}.platform.tilt.{axis}")] for run in runs]
+        tilts = [solution.estimate[names.index(f"{run}.platform.tilt.{axis}")] for run in runs]
         u = [solution.u[names.index(f"{run}.platform.tilt.{axis}")] for run in runs]
-        error = np.array(found) - platform[f"platform.tilt.{axis}"]
+        error = np.array(tilts) - platform[f"platform.tilt.{axis}"]
         # K_F's own prior leaves the mean tilt as uncertain as it was.
         assert (np.abs(error) < 2 * np.array(u)).all()
         assert max(u) < 0.5 * ARCSEC

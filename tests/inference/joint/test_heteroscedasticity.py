@@ -109,10 +109,10 @@ def test_spindle_harmonics_are_not_noise():
         wave = 3e-3 * record.trajectory.spindle.rate**2
         wave = wave * np.cos(5.0 * record.trajectory.spindle.angle(record.time))
         drawn.append(add_noise(replace(record, error=record.error + wave), Noise(0.01), rng))
-    stated, asked = {"Qx": Noise(0.01)}, {"Qx": Noise(ESTIMATE)}
+    stated, estimated = {"Qx": Noise(0.01)}, {"Qx": Noise(ESTIMATE)}
     fit = estimate(drawn, MODEL, stated, rejects_outliers=False).fit
     assert noise_by_run(fit, "Qx") == {}
-    assert estimate_heteroscedasticity(fit, drawn, asked) == {}
+    assert estimate_heteroscedasticity(fit, drawn, estimated) == {}
     # Another noise shows beneath them.
     louder = [*drawn[:2], add_noise(drawn[2], Noise(0.02), rng)]
     sizes = noise_by_run(estimate(louder, MODEL, stated, rejects_outliers=False).fit, "Qx")

@@ -68,11 +68,11 @@ def test_likelihood_matches_dense_likelihood_up_to_constant(order):
     data = EvenlySampledData.of(recorded, STEP, Sampling(order, order), ramp[:, None], 1)
     likelihood = RestrictedLikelihood.of([data], None, None)
     design = np.column_stack([np.ones(n), data.design])
-    found = np.array([likelihood.value(0.0, unit) for unit in UNITS])
+    log_likelihoods = np.array([likelihood.value(0.0, unit) for unit in UNITS])
     exact = np.array([dense_likelihood(covariance, design, force) for covariance in covariances])
     away = exact - exact[0]
     assert away.min() < -20.0
-    np.testing.assert_allclose(found - found[0], away, rtol=0.01, atol=0.1)
+    np.testing.assert_allclose(log_likelihoods - log_likelihoods[0], away, rtol=0.01, atol=0.1)
 
 
 def test_grouped_rows_match_single_rows(monkeypatch):

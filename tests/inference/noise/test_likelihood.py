@@ -55,7 +55,7 @@ def test_likelihood_matches_whitened_rows(order):
     records = [RecordData(times, order, design, values, walk_duration=50.0)]
     likelihood_of = RestrictedLikelihood.of(records, None, None)
     white = 0.7
-    found = likelihood_of.value(math.log(white), (1.0, 1e-4, 1e-5, 1e-6))
+    log_likelihood = likelihood_of.value(math.log(white), (1.0, 1e-4, 1e-5, 1e-6))
     noise = Noise(*(math.sqrt(white * part) for part in (1.0, 1e-4)), 0.0)
     noise = replace(noise, flicker=math.sqrt(white * 1e-5), bias_walk=math.sqrt(white * 1e-6))
     whitener = make_whitener(times, order, noise, walk_duration=50.0)
@@ -63,4 +63,4 @@ def test_likelihood_matches_whitened_rows(order):
     _, log_information = np.linalg.slogdet(x.T @ x)
     left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
     expected = -(whitener.log_det + log_information + left @ left) / 2
-    assert found == pytest.approx(expected, rel=1e-9)
+    assert log_likelihood == pytest.approx(expected, rel=1e-9)

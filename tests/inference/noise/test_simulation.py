@@ -18,10 +18,10 @@ def test_random_walk_has_covariance_of_integrated_white_noise():
     for order, covariance in expected.items():
         draws = np.array([draw_accelerometer_noise(rng, times, walk, order) for _ in range(trials)])
         assert not draws[:, 0].any()
-        found = draws.T @ draws / trials
+        sample_covariance = draws.T @ draws / trials
         # Each product of two normals scatters by sqrt(var var + cov^2).
         size = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)) + covariance**2)
-        assert np.all(np.abs(found - covariance) <= 4.5 * size / math.sqrt(trials))
+        assert np.all(np.abs(sample_covariance - covariance) <= 4.5 * size / math.sqrt(trials))
         assert np.all(np.abs(draws.mean(axis=0)) <= 4.5 * np.sqrt(np.diag(covariance) / trials))
 
 
@@ -42,12 +42,12 @@ def test_flicker_and_random_walk_have_closed_form_moments():
     times = np.arange(64) * 2.0
     flicker, walk = Noise(0.0, flicker=1.0), Noise(0.0, bias_walk=0.1)
     draw_wander = np.array([draw_bias_noise(rng, times, flicker, 0) for _ in range(3000)])
-    found = draw_wander.T @ draw_wander / len(draw_wander)
+    sample_covariance = draw_wander.T @ draw_wander / len(draw_wander)
     exact = flicker_autocovariance(
         np.abs(times[:, None] - times), MIN_FLICKER_FREQUENCY, 0.5 / (times[1] - times[0])
     )
     # A variance of some 3.5 is known to 1.8 %.
-    np.testing.assert_allclose(found, exact, atol=0.07 * exact[0, 0])
+    np.testing.assert_allclose(sample_covariance, exact, atol=0.07 * exact[0, 0])
     walks = np.array(
         [draw_bias_noise(rng, times, walk, 0, walk_duration=40.0) for _ in range(3000)]
     )
