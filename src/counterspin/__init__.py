@@ -9,7 +9,7 @@
 Commands as functions:
 
 - `init`: write a commented campaign description
-- `simulate`: simulate the records of a campaign with known coefficients
+- `simulate`: simulate the records of a campaign from known coefficients
 - `calibrate`: calibrate a campaign (`Result`); `TwoStageOptions`: options of the paper's method
 - `apply`: correct indicated specific forces with a `Result` (`Correction`); `apply_file`: correct a
   file; `ApplyOptions`: unit, and forces along the other axes

@@ -136,7 +136,7 @@ CODES: Final[Mapping[str, str]] = {
     "cluster-unreachable": "The Dask cluster does not respond.",
     "port-in-use": "The port of the application is not available.",
     # The application
-    "request-refused": "The application cannot do what was requested.",
+    "request-refused": "The application cannot perform the requested action.",
     "path-forbidden": "The application does not serve, edit or move this path.",
     "not-found": "The requested object does not exist.",
     "edit-conflict": "A file changed after the editor read it.",

@@ -102,7 +102,7 @@ class ResultComparison(ReportableResult):
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
     DOCUMENT_TYPE: ClassVar[str] = "comparison"
 
-    gravity: float  #: Gravity to which all g-units refer, m/s^2, from the first result.
+    gravity: float  #: Gravity of the first result, to which all g-units refer, m/s^2.
     results: list[ComparedResult]  #: Compared results, in the order given.
     #: Coefficients of all results, for accelerometers that occur in more than one result.
     coefficients: list[ComparedCoefficient]
