@@ -121,12 +121,14 @@ MISTAKES: Final = (
         change=lambda value: GRAVITY * value,
         records={'unit = "m/s^2"': 'unit = "g"', 'unit = "m"': 'unit = "mm"'},
     ),
-    Mistake("zero of the head wrong by 1 deg", zero=1.0),
+    Mistake("head zero wrong by 1 deg", zero=1.0),
     Mistake(
-        "attitudes in the opposite sense, input axis east at angle zero", sense=-1, upright=False
+        "attitude angles in the opposite sense, input axis east at angle zero",
+        sense=-1,
+        upright=False,
     ),
     Mistake(
-        "attitudes in the opposite sense, delta_O stated",
+        "attitude angles in the opposite sense, delta_O stated",
         sense=-1,
         stated='delta_O = "1e-3 ± 1e-6 rad"\n',
     ),

@@ -266,7 +266,7 @@ def render(rows: Sequence[Row]) -> str:
     """Return the table as Markdown."""
     head = {"Campaigns": "---", "Number": "---:"}
     head |= {f"z rms of {symbol}": "---:" for symbol in TERMS}
-    head |= {"95 % intervals with the true value": "---:", "state other than good": "---:"}
+    head |= {"95 % intervals that contain the true value": "---:", "state other than good": "---:"}
     return table_of(
         head,
         [

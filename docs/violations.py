@@ -292,7 +292,7 @@ def of_inputs() -> list[Violation]:
         # The angle is as late as the force, so that the gain remains.
         Violation(
             "sensor gain, not stated",
-            "1e-5 lower at 1 Hz",
+            "gain 1e-5 lower at 1 Hz",
             "Qx",
             {
                 "[accelerometers.Qx]": f'timing_offset = "{-DELAY!r} s"\n\n[accelerometers.Qx]',
@@ -408,7 +408,7 @@ def render(table: Sequence[Row]) -> str:
         f"{lines_of(table)}\n"
         f"If every term is fixed at its nominal value, findings report {len(found)} of these "
         f"{len(table)} violations.\n"
-        f"In {right} of these {len(found)} cases, the first or the second named cause is correct. "
+        f"In {right} of these {len(found)} cases, one of the first two named causes is correct. "
         f"In {first} cases, the first named cause is correct.\n"
     )
 

@@ -227,7 +227,7 @@ NUMBERS = [
     ("result", "means infinite or more than {}", [distributions._INFINITE_DOF]),
     (
         "result",
-        "with the model | at {} times the stated noise or more; beyond {} standard",
+        "with the model | at least {} times the stated noise; beyond {} standard",
         [findings.RESIDUAL_RATIO_LIMIT, findings.CONTRADICTION_SIGMAS],
     ),
     ("conformity", "Student's factor for {} % coverage and", [100 * distributions.COVERAGE]),
@@ -417,9 +417,10 @@ def test_violation_campaign_matches_description():
     assert agrees_to_last_digit(most, study["SILENT_UP_TO"])
     assert agrees_to_last_digit(least, study["SHOWN_FROM"])
     campaign = tomllib.loads(study["description"]("velocity", study["FULL"]))
-    words = "three runs at {}, {} and {} rev/s, with {} revolutions each, sampled at {} Hz on "
-    words += "a radius of {} m. "
-    words += "The noise per sample is {} m, {} mm/s or {} m/s^2. "
+    words = "three runs at {}, {} and {} rev/s, with {} revolutions each, sampled at {} Hz "
+    words += "at a radius of {} m. "
+    words += "The noise per sample is {} m in displacement, {} mm/s in velocity "
+    words += "and {} m/s^2 in specific force. "
     words += "The standard uncertainties are {} µg for the bias and {} ppm for the scale factor"
     *rates, turns, sampling, radius, place, speed, force, bias, scale = map(
         parse_number, find_numbers("violations", words)

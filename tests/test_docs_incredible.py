@@ -17,9 +17,9 @@ SUBJECTS = {
     "K_F = 0.3 g": "K_F",
     "K_II = 500 ug/g^2": "K_II",
     "m/s^2 instead of g": "K_I",
-    "zero of the head wrong by 1 deg": "delta_O",
-    "attitudes in the opposite sense, input axis east at angle zero": "K_I",
-    "attitudes in the opposite sense, delta_O stated": "A",
+    "head zero wrong by 1 deg": "delta_O",
+    "attitude angles in the opposite sense, input axis east at angle zero": "K_I",
+    "attitude angles in the opposite sense, delta_O stated": "A",
 }
 
 
@@ -49,14 +49,12 @@ def test_likely_cause_is_named():
     texts = {row.name: row.text for row in TABLE.load() if row.way == "tumble"}
     sign = "Check the sign of the output, and the senses of the input axis and of the attitudes."
     assert sign in texts["wrong sign of all readings"]
-    assert sign in texts["attitudes in the opposite sense, input axis east at angle zero"]
+    assert sign in texts["attitude angles in the opposite sense, input axis east at angle zero"]
     assert "may be in m/s^2 instead of g." in texts["m/s^2 instead of g"]
-    assert (
-        "the zero and the sense of the attitude angles" in texts["zero of the head wrong by 1 deg"]
-    )
+    assert "the zero and the sense of the attitude angles" in texts["head zero wrong by 1 deg"]
     assert (
         "the sense of rotation of the attitudes"
-        in texts["attitudes in the opposite sense, delta_O stated"]
+        in texts["attitude angles in the opposite sense, delta_O stated"]
     )
 
 

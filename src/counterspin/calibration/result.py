@@ -79,7 +79,7 @@ class Result(ReportableResult):
 
     method: str  #: ``joint`` or ``two-stage``.
     model: str  #: ``exact`` or ``as-printed``.
-    #: Worst state of all parts of the result: ``good``, ``reservations``, ``not-determined`` or
+    #: Worst state of any part of the result: ``good``, ``reservations``, ``not-determined`` or
     #: ``contradicted``; null in results written by versions that did not record a state.
     state: State | None = None
     #: Findings on all accelerometers and on the campaign, most severe first.
@@ -88,7 +88,7 @@ class Result(ReportableResult):
     title: str = ""  #: Title of the campaign.
     accelerometers: dict[str, AccelerometerResult]  #: Results of each accelerometer.
     platform: dict[str, Coefficient] = {}  #: Coefficients of the platform, common to all runs.
-    #: Result of the three accelerometers as a single sensor; null if the campaign has no
+    #: Result for the three accelerometers as a single sensor; null if the campaign has no
     #: ``[triad]``.
     triad: TriadResult | None = None
     confounded: list[ConfoundedTerms] = []  #: Sets of platform terms that cannot be separated.

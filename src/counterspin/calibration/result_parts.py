@@ -38,16 +38,17 @@ class MonteCarloInterval(ResultPart):
     """Coverage interval of a coefficient by Monte Carlo (JCGM 101), probability 95 %."""
 
     trials: int  #: Number of trials.
-    u: float  #: Standard deviation of the trials.
+    u: float  #: Standard deviation of the coefficient over the trials.
     low: float  #: Lower end of the shortest interval.
     high: float  #: Upper end of the shortest interval.
     tolerance: float  #: Half a unit of the second significant digit of the coefficient's u.
     #: Whether both ends agree with the GUM interval, `Coefficient.interval`, within `tolerance`
     #: (JCGM 101, 8.2); null if there are too few trials to decide.
     gum_validated: bool | None = None
-    #: Largest difference between the linear prediction and full fits with a source at ±2 u.
+    #: Largest difference between the linear prediction and full fits with one source shifted
+    #: by ±2 u.
     linear_difference: float | None = None
-    #: Sources whose difference exceeds `tolerance`; trials use a second-order response for them.
+    #: Sources whose difference exceeds `tolerance`; trials include their second-order effects.
     second_order: list[str] = []
     #: Largest difference with all sources shifted together; null for fewer than two sources.
     joint_difference: float | None = None
@@ -176,8 +177,8 @@ class Knowledge(ResultPart):
     name: str  #: Name of the term or input, such as ``Qx.K_OO`` or ``run1.platform.tilt.north``.
     kind: Kind  #: Kind of the prior: stated, unstated (default) or held (considered).
     unit: str  #: Unit of the numbers, an SI unit or a g-unit.
-    value: float  #: Prior value, which is the stated value or otherwise the ideal value.
-    u: float  #: Prior standard uncertainty, which is the stated u or otherwise the default.
+    value: float  #: Prior value: the stated value if there is one, otherwise the ideal value.
+    u: float  #: Prior standard uncertainty: the stated u if there is one, otherwise the default.
     found: float | None = None  #: Posterior value from the same fit; null if the term was held.
     u_found: float | None = None  #: Posterior standard uncertainty.
 
@@ -188,7 +189,7 @@ class NoiseLine(ResultPart):
     #: Standard deviation per sample; for ``acceleration``, the random-walk coefficient.
     value: float
     u: float | None = None  #: Standard uncertainty of the value, if the noise was estimated.
-    unit: str  #: Unit of value and uncertainty.
+    unit: str  #: Unit of the value and its uncertainty.
     #: Whether the noise was estimated from the residuals; if false, the noise is as stated.
     estimated: bool
     #: Static record from which the noise was estimated; null if the noise was stated or estimated
@@ -222,7 +223,7 @@ class Finding(ResultPart):
     #: Whether the records contradict the result; do not use a contradicted result.
     contradicts: bool = False
     #: Whether this finding sets the state ``not-determined``. This happens only for a coefficient
-    #: that is the purpose of the campaign or that ``[model] terms`` requests.
+    #: that the campaign is meant to determine or that ``[model] terms`` requests.
     undetermined: bool = False
     #: Other findings that would disappear if this cause were removed (for causes only).
     explains: list[Finding] = []
@@ -304,10 +305,10 @@ class ReadingResult(ResultPart):
     pendulous_axis: tuple[float, ...] = ()  #: Direction of the pendulous axis, in the same frame.
     rate: float  #: Rate of the spindle, rad/s.
     amplitude: float | None = None  #: Peak acceleration of a vibration, m/s^2; otherwise null.
-    value: float  #: Reading in g, converted by the nominal sensitivity.
+    value: float  #: Reading in g, converted with the nominal sensitivity.
     u: float  #: Stated or estimated standard uncertainty of the reading, g.
     residual: float  #: Reading minus model, g.
-    #: Residual divided by its standard deviation; null if the fit follows the reading exactly.
+    #: Residual divided by its standard deviation; null if the fit reproduces the reading exactly.
     z: float | None
     #: Number of averaged rows if the reading is the mean of a record; otherwise null.
     samples: int | None = None
@@ -327,7 +328,7 @@ class PoseResult(ResultPart):
     start: float | None = None  #: Start time in the record, s; null for a stated reading.
     end: float | None = None  #: End time in the record, s.
     samples: int | None = None  #: Number of rows averaged.
-    #: Outputs converted by the nominal sensitivities, in the order of the triad.
+    #: Outputs converted with the nominal sensitivities, in the order of the triad.
     values: tuple[float, ...]
     direction: tuple[float, ...]  #: Estimated direction of the specific force in the triad's frame.
     residual: float  #: Output minus model, in the direction of the specific force.
@@ -339,7 +340,7 @@ class PosesInRecord(ResultPart):
     """Poses detected in a record."""
 
     poses: int  #: Number of poses.
-    threshold: float  #: Scatter below which counterspin treats the triad as at rest, m/s^2.
+    threshold: float  #: Scatter below which counterspin treats the triad as being at rest, m/s^2.
     #: Median scatter in motion divided by the median scatter at rest; null if the record contains
     #: no motion.
     contrast: float | None
@@ -368,8 +369,8 @@ class TriadResult(ResultPart):
     #: Sensitivity of each parameter to the assumed gravity, per m/s^2; empty if gravity is exact.
     by_gravity: dict[str, float] = {}
     #: Matrix of the correction f = matrix (y - bias); f is the specific force in g in the triad's
-    #: frame, and y are the outputs in g, converted by the nominal sensitivities; null if it is not
-    #: determined.
+    #: frame, and y are the outputs in g, converted with the nominal sensitivities; null if the
+    #: matrix is not determined.
     matrix: list[list[float]] | None = None
     u_matrix: list[list[float]] | None = None  #: Standard uncertainties of the matrix elements.
     #: Offsets of the three accelerometers, g; null if the matrix is null.
@@ -423,7 +424,7 @@ class Shift(ResultPart):
     """Shift of a coefficient without one test method; `z` is the shift over its u."""
 
     shift: float  #: Estimate without the omitted method minus the estimate from all methods.
-    u: float  #: Standard uncertainty of the shift; common contributions count once.
+    u: float  #: Standard uncertainty of the shift; shared contributions count only once.
     z: float  #: Shift divided by its standard uncertainty.
 
 
@@ -435,7 +436,8 @@ class MethodAgreement(ResultPart):
     #: Coefficients from this method alone with all priors, without `dof`; null for a coefficient
     #: that this method does not determine.
     coefficients: dict[str, Coefficient]
-    #: Shift caused by omitting this method, for each coefficient that other methods determine too.
+    #: Shift of each coefficient due to omitting this method, if the other methods also determine
+    #: the coefficient.
     without: dict[str, Shift] = {}
     chi2: float  #: Chi-square of the differences between this method and the other methods.
     dof: int  #: Number of combinations that this method and the other methods determine.
@@ -450,7 +452,7 @@ class AccelerometerResult(ResultPart):
     #: State of the result: ``good``, ``reservations``, ``not-determined`` or ``contradicted``.
     state: State | None = None
     findings: list[Finding] = []  #: Findings on this accelerometer, most severe first.
-    #: Typical faults that the residuals of the readings would not show, as text, each with the
+    #: Typical faults that the residuals of the readings would not reveal, as text, each with the
     #: resulting shift of a coefficient; largest shift first.
     unseen_faults: list[str] = []
     serial_number: str | None = None  #: Serial number, as stated in the campaign.
@@ -472,14 +474,14 @@ class AccelerometerResult(ResultPart):
     budget: dict[str, list[BudgetLine]] = {}  #: Uncertainty budget of each term.
     #: Monte Carlo coverage interval of each estimated coefficient; empty if it was not requested.
     monte_carlo: dict[str, MonteCarloInterval] = {}
-    #: Data to recalculate u for a more accurate input; null if no input affects u.
+    #: Data for recalculating u with a more accurate input; null if no input affects u.
     what_if: WhatIf | None = None
     #: Further unknown of the two-stage method, in addition to K_II and K_F.
     second_unknown: dict[str, Coefficient] = {}
     jackknife: list[Jackknife] = []  #: Leave-one-run-out results for K_II (joint method only).
     two_stage: Comparison | None = None  #: Comparison with the two-stage K_II (joint method only).
     conformity: dict[str, Conformity] = {}  #: Conformity of each term with its specification.
-    traces: dict[str, Trace] = {}  #: Residuals of each run for figures (joint method only).
+    traces: dict[str, Trace] = {}  #: Residuals of each run for plotting (joint method only).
     readings: list[ReadingResult] = []  #: Readings taken at rest, on an arm or on a turntable.
     #: Comparison of the test methods; empty if the campaign uses a single method.
     kinds: list[MethodAgreement] = []

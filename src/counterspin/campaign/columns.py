@@ -212,7 +212,7 @@ class TableDialect(SettingsSection):
         "encoding of a text file", "latin-1", None, absent="detected"
     )
     units_row: bool | None = key_field(
-        "whether a units row follows the column names", True, None, absent="detected"
+        "whether a row of units follows the column names", True, None, absent="detected"
     )
     skip_footer: Annotated[int, Field(ge=0)] | None = key_field(
         "number of lines (or sheet rows) after the data at the end of the file, such as a mean or "

@@ -182,8 +182,8 @@ class Run(SettingsSection):
     )
     reading: PerAccelerometer | None = key_field(
         "value with unit, in place of a `record`; `±` gives the standard uncertainty. A list "
-        "contains repeats at one setting: counterspin uses their mean, and estimates the noise "
-        "from their scatter",
+        "contains repeated readings at one setting: counterspin uses their mean, and estimates "
+        "the noise from their scatter",
         "1.082532 ± 2e-6 mA",
         None,
         absent="`record`",
@@ -208,7 +208,8 @@ class Run(SettingsSection):
         applies_to=READINGS,
     )
     axes: ReadingAxes | None = key_field(
-        "`input` and `pendulous` axes in the frame of the motion, in place of an attitude",
+        "directions of the `input` and `pendulous` axes in the frame of the motion, in place of "
+        "an attitude",
         {"input": "inward", "pendulous": "up"},
         None,
         absent="`attitude`",

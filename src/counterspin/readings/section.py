@@ -112,18 +112,21 @@ class ReadingsSettings(TableDialect, _TableFile):
         "axes of rotating rows", {"input": "inward", "pendulous": "up"}, None, absent="`attitude`"
     )
     axes_at_rest: ReadingAxes | None = key_field(
-        "axes of rows at rest", {"input": "up", "pendulous": "outward"}, None, absent="`axes`"
+        "directions of the axes for rows at rest",
+        {"input": "up", "pendulous": "outward"},
+        None,
+        absent="`axes`",
     )
     mounting: str = key_field("mounting of every row", "in", "")
     merged: bool = key_field(
         "whether an empty cell of the column `mounting` repeats the cell above, as "
-        "merged cells of a spreadsheet do",
+        "in a spreadsheet with merged cells",
         True,
         False,
     )
     mountings: dict[str, MountingSettings] = key_field(
-        "axes of each mounting, in place of `axes`; also the column `reading` of each mounting, "
-        "if each mounting has a separate column",
+        "directions of the axes for each mounting, in place of `axes`; also the column `reading` "
+        "of each mounting, if each mounting has a separate column",
         {"in": {"input": "inward", "pendulous": "up"}},
         {},
     )

@@ -92,19 +92,19 @@ class AnalysisSettings(SettingsSection):
         "given",
     )
     terms: list[Text] | None = key_field(
-        "requested terms, instead of `[model]` `terms`",
+        "requested terms; replaces `terms` of `[model]`",
         ["K_F", "K_II"],
         None,
         absent="the campaign's",
     )
     assume: TextList | None = key_field(
-        "terms and inputs assumed perfect, instead of `[model]` `assume`",
+        "terms and inputs assumed perfect; replaces `assume` of `[model]`",
         ["K_OO"],
         None,
         absent="the campaign's",
     )
     hold: list[Text] | None = key_field(
-        "considered terms and inputs, instead of `[model]` `hold`",
+        "considered terms and inputs; replaces `hold` of `[model]`",
         ["K_PP"],
         None,
         absent="the campaign's",

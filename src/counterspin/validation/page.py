@@ -38,10 +38,11 @@ class CheckedCase(ResultPart):
     quantity: str  #: Name of the value that is closest to its limit.
     expected: float | None  #: Expected value of `quantity`.
     found: float | None  #: Value of `quantity` on this installation.
-    #: Number of correct digits of the found value, -log10 of the relative difference, at most 16;
+    #: Number of correct digits in the value found, -log10 of the relative difference, at most 16;
     #: null if the expected value is 0 or no value was found.
     digits: float | None
-    limit: float | None  #: Largest permitted difference between the expected and the found value.
+    #: Largest permitted difference between the expected value and the value found.
+    limit: float | None
     note: str = ""  #: Reason why no value could be compared.
 
 

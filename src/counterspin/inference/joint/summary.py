@@ -50,12 +50,12 @@ class WhatIf:
     units: list[str]  #: Unit of each name, an SI unit or a g-unit.
     #: Prior standard uncertainty of each source; a source without an entry cannot be changed.
     known: dict[str, float]
-    #: Covariance matrix of the estimates that the fit weights assume; rows and columns are in the
-    #: order of `names`.
+    #: Covariance matrix of the estimates, as assumed by the weights of the fit; rows and
+    #: columns are in the order of `names`.
     weighed: list[list[float]]
     #: Additional covariance from held terms and undetected noise; empty if there are none.
     beside: list[list[float]] = field(default_factory=list)
-    #: Shift of each coefficient and source if a held source changes by its u.
+    #: Shift of each coefficient and source when a held source changes by its u.
     held: dict[str, list[float]] = field(default_factory=dict)
 
     @property
