@@ -183,7 +183,7 @@ NUMBERS = [
     ),
     ("diagnosis", "and ends after at most {} causes", [search._MAX_CAUSES]),
     ("diagnosis", "effects smaller than {} % of this error", [100 * search._MIN_RELATIVE_SIZE]),
-    ("diagnosis", "on priors occur in at most {} % of good campaigns", [CAUSES]),
+    ("diagnosis", "at most {} % of good campaigns have false findings on priors", [CAUSES]),
     ("diagnosis", "results (`run-disagrees`): {} % of campaigns", [ALARMS]),
     ("diagnosis", "(`noise-differs`): {} % of campaigns, by", [ALARMS]),
     ("diagnosis", "two-stage method: {} % of accelerometers", [ALARMS]),

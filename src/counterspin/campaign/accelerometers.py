@@ -168,21 +168,21 @@ class Accelerometer(SettingsSection):
         {"column": "east_m", "unit": "m"},
         None,
         absent="exactly one recorded quantity is required",
-        kind="column, m",
+        kind="column in m",
     )
     velocity: VelocityChannel | None = key_field(
         "recorded velocity along the input axis",
         {"column": "v", "unit": "m/s"},
         None,
         absent="exactly one recorded quantity is required",
-        kind="column, m/s",
+        kind="column in m/s",
     )
     specific_force: ForceChannel | None = key_field(
         "recorded specific force along the input axis",
         {"column": "f", "unit": "g"},
         None,
         absent="exactly one recorded quantity is required",
-        kind="column, m/s^2, g or `output`",
+        kind="column in m/s^2, g or `output`",
     )
 
     _name: str = PrivateAttr()

@@ -243,7 +243,7 @@ class Run(SettingsSection):
         "23.4 degC",
         None,
         absent="the recorded temperature",
-        kind="text, or a list of text",
+        kind="text or list of texts",
     )
     time: Annotated[float, exact_quantity("s")] | None = key_field(
         "start time of the run, or time of the reading, on any clock; used for `K_F.trend`",

@@ -165,8 +165,9 @@ class RepeatedCoefficient(ResultPart):
     u_before: float | None  #: Standard uncertainty in the original result.
     now: float | None  #: Estimate in the repeated calibration.
     u_now: float | None  #: Standard uncertainty in the repeated calibration.
-    #: The larger of two changes: that of u, relative to u, and that of the estimate, relative to
-    #: its magnitude or its u, whichever is larger; null if only one result has the number.
+    #: The larger of two relative changes: the change of u relative to u, and the change of the
+    #: estimate relative to its magnitude or its u, whichever is larger; null if only one
+    #: result has the number.
     relative: float | None
     #: Change of the estimate divided by `u_before`; null if there is no `u_before`.
     in_u: float | None
