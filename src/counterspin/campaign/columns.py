@@ -24,7 +24,6 @@ from counterspin.campaign.field_types import (
     check_time_unit,
     convertible_unit,
     exact_quantity,
-    is_convertible,
     key_field,
     uncertain_quantity,
 )
@@ -33,7 +32,7 @@ from counterspin.errors import InputError
 from counterspin.frozen import frozen
 from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.records.record import ColumnSpec
-from counterspin.units import unit_factor
+from counterspin.units import is_convertible, unit_factor
 
 
 @frozen

@@ -45,7 +45,13 @@ from counterspin.campaign.quantity import (
 from counterspin.errors import InputError, OutOfRangeError, error_code
 from counterspin.physics.accelerometer import DIRECTIONS
 from counterspin.records.format_registry import RECORD_FORMATS
-from counterspin.units import OPERATING_TEMPERATURES, TEMPERATURE_SCALES, ZERO_CELSIUS, unit_factor
+from counterspin.units import (
+    OPERATING_TEMPERATURES,
+    TEMPERATURE_SCALES,
+    ZERO_CELSIUS,
+    is_convertible,
+    unit_factor,
+)
 
 #: Unit name of time stamps in ISO 8601.
 TIME_STAMP_UNIT: Final = "iso"
@@ -455,13 +461,6 @@ def check_angle_unit(unit: str, info: ValidationInfo) -> str:
     ):
         unit_factor(unit, "rad")
     return unit
-
-
-def is_convertible(unit: str, target_unit: str) -> bool:
-    """Return whether a unit converts to the target unit."""
-    with suppress(ValueError):
-        return bool(unit_factor(unit, target_unit))
-    return False
 
 
 def parse_zero_direction(value: object) -> float:
