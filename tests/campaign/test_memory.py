@@ -40,12 +40,14 @@ def test_all_files_of_run_are_copied(recorded_folder, tmp_path):
     """Continuation files, the file of the pulses and a record of two runs."""
     angle = 'angle = { column = "angle_rad", unit = "rad" }'
     more = 'continued_in = ["slow-2.csv"]\npulses = "index.csv"\nstop = "9 s"'
-    again = '[[runs]]\nname = "end"\nrate = "0.25 rev/s"\nrecord = "slow.csv"\nstart = "9 s"\n'
+    repeated_run = (
+        '[[runs]]\nname = "end"\nrate = "0.25 rev/s"\nrecord = "slow.csv"\nstart = "9 s"\n'
+    )
     text = campaigns.replace_parts(
         campaigns.SMALL,
         (angle, 'angle = { column = "i", unit = "s", pulses = true }'),
         ('name = "slow"', f'name = "slow"\n{more}'),
-        ("[simulation]", f"{again}\n[simulation]"),
+        ("[simulation]", f"{repeated_run}\n[simulation]"),
     )
     (recorded_folder / "campaign.toml").write_text(text)
     for name in ("slow-2.csv", "index.csv"):

@@ -45,20 +45,22 @@ def test_angle_is_converted_to_right_handed(tmp_path, keys, factor, offset):
 
 def test_run_overrides_file_format(tmp_path):
     own = 'name = "middle"\nrecords = { decimal = ",", time = { unit = "ms" } }\nstop = "30 s"'
-    read = read_changed(
+    changed_campaign = read_changed(
         tmp_path, (ANGLE, f'{ANGLE}\ndelimiter = ";"\nskip_lines = 4'), ('name = "middle"', own)
     )
-    slow, middle, _ = read.runs
-    assert read.recording_of(slow).dialect == Dialect(skip_lines=4, delimiter=";")
-    assert read.recording_of(middle).dialect == Dialect(skip_lines=4, delimiter=";", decimal=",")
-    assert read.recording_of(middle).time.factor == 1e-3
+    slow, middle, _ = changed_campaign.runs
+    assert changed_campaign.recording_of(slow).dialect == Dialect(skip_lines=4, delimiter=";")
+    assert changed_campaign.recording_of(middle).dialect == Dialect(
+        skip_lines=4, delimiter=";", decimal=","
+    )
+    assert changed_campaign.recording_of(middle).time.factor == 1e-3
     assert middle.time_range == (-math.inf, 30.0)
 
 
 def test_run_can_be_skipped(tmp_path):
-    read = read_changed(tmp_path, ('name = "middle"', 'name = "middle"\nskip = true'))
-    assert [run.name for run in read.runs] == ["slow", "fast"]
-    assert read.skipped == ("middle",)
+    changed_campaign = read_changed(tmp_path, ('name = "middle"', 'name = "middle"\nskip = true'))
+    assert [run.name for run in changed_campaign.runs] == ["slow", "fast"]
+    assert changed_campaign.skipped == ("middle",)
     everything = [
         (f'name = "{n}"', f'name = "{n}"\nskip = true') for n in ("slow", "middle", "fast")
     ]
@@ -72,13 +74,16 @@ def test_file_may_contain_consecutive_runs(tmp_path):
             ('record = "middle.csv"', f'record = "all.csv"\n{second}'),
         ]
 
-    read = read_changed(tmp_path, *two_parts('stop = "40 s"', 'start = "40 s"'))
-    assert [run.time_range for run in read.runs[:2]] == [(-math.inf, 40.0), (40.0, math.inf)]
+    changed_campaign = read_changed(tmp_path, *two_parts('stop = "40 s"', 'start = "40 s"'))
+    assert [run.time_range for run in changed_campaign.runs[:2]] == [
+        (-math.inf, 40.0),
+        (40.0, math.inf),
+    ]
     for second in ('start = "39 s"', "", 'start = "x"'):
         problems = list_problems(tmp_path, *two_parts('stop = "40 s"', second))
         assert any("runs[0] already uses" in line or "start" in line for line in problems)
     with raises("not-simulable"):
-        simulate(read, tmp_path / "out")
+        simulate(changed_campaign, tmp_path / "out")
 
 
 @pytest.mark.parametrize("key", ["sheet", "group"])
@@ -90,8 +95,8 @@ def test_file_may_contain_run_per_table(tmp_path, key):
         ]
 
     own = f'records = {{ {key} = "two" }}'
-    read = read_changed(tmp_path, *two_tables("one", own))
-    assert [run.record.name for run in read.runs[:2]] == ["all.xlsx"] * 2
+    changed_campaign = read_changed(tmp_path, *two_tables("one", own))
+    assert [run.record.name for run in changed_campaign.runs[:2]] == ["all.xlsx"] * 2
     # One table, or a possibly identical one, belongs to one run.
     for first, second in (("two", own), ("one", "")):
         problems = list_problems(tmp_path, *two_tables(first, second))
@@ -165,10 +170,12 @@ def test_clock_is_assigned_per_recorder(tmp_path):
         ]
 
     clock = 'recorder = "B", clock = "{} ± 1e-7"'
-    read = read_changed(
+    changed_campaign = read_changed(
         tmp_path, *two_recorders('recorder = "B"', 'recorder = "C", clock = "1 ± 0.1 ppm"')
     )
-    clocks = {run.recorder: run.clock for run in map(read.recording_of, read.runs)}
+    clocks = {
+        run.recorder: run.clock for run in map(changed_campaign.recording_of, changed_campaign.runs)
+    }
     assert list(clocks) == ["B", "C", ""]
     assert clocks["B"] is clocks[""] is None
     assert (clocks["C"].value, clocks["C"].u) == pytest.approx((1e-6, 1e-7))

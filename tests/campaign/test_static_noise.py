@@ -77,8 +77,8 @@ def test_stated_true_noise_overrides_estimate(folder, tmp_path):
 def test_simulated_folder_contains_record_at_rest(folder, tmp_path):
     cs.simulate(folder, tmp_path / "there")
     assert (tmp_path / "there/rest.csv").read_bytes() == (folder / "rest.csv").read_bytes()
-    again = read_campaign(tmp_path / "there")
-    assert make_noise(again) == make_noise(read_campaign(folder))
+    campaign = read_campaign(tmp_path / "there")
+    assert make_noise(campaign) == make_noise(read_campaign(folder))
     cs.simulate(folder, tmp_path / "there", overwrite=True)
     with pytest.raises(cs.CounterspinError, match="exists"):
         cs.simulate(folder, tmp_path / "there")
@@ -156,8 +156,8 @@ def test_plan_uses_and_states_estimated_noise(tmp_path):
     assert f'displacement = "{size}"' in planned.document
     assert planned.u == stated.u
     # A campaign changed in memory also names files next to the plan.
-    again = planned.change(total_time=planned.source["limits"]["total_time"])
-    assert (again.document, again.file) == (planned.document, file)
+    changed_campaign = planned.change(total_time=planned.source["limits"]["total_time"])
+    assert (changed_campaign.document, changed_campaign.file) == (planned.document, file)
 
 
 def test_plan_rejects_bias_walk(tmp_path):
@@ -186,9 +186,9 @@ def test_record_at_rest_may_be_in_memory(folder, tmp_path):
     result = cs.calibrate(held)
     assert result.accelerometers["Qx"].noise["displacement"].record == "rest.parquet"
     assert result.provenance.in_memory["rest.parquet"] == "arrays"
-    again = read_campaign(held.write(tmp_path / "written"))
-    assert again.rest == tmp_path / "written" / "rest.parquet"
-    assert make_noise(again) == of_file
+    campaign = read_campaign(held.write(tmp_path / "written"))
+    assert campaign.rest == tmp_path / "written" / "rest.parquet"
+    assert make_noise(campaign) == of_file
     other = held.change({}, records={"noise.from": frame.with_columns(pl.col("east_m") * 2.0)})
     assert make_noise(other)["Qx"].white == pytest.approx(2.0 * of_file["Qx"].white, rel=1e-6)
 

@@ -114,10 +114,12 @@ def test_head_component_prior_overrides_general_priors(tmp_path, order):
         '"head.harmonic.1" = "0 ± 2 arcsec"\n',
         '"head.harmonic" = "0 ± 1 arcsec"\n',
     ]
-    read = (
+    rest_runs = (
         format_rest_run(f"{angle}", f"{angle} deg about north", "1 mA") for angle in (0, 60, 120)
     )
-    text = format_site() + ACCELEROMETER + "".join(["[model.priors]\n", *stated[::order], *read])
+    text = (
+        format_site() + ACCELEROMETER + "".join(["[model.priors]\n", *stated[::order], *rest_runs])
+    )
     priors = write_and_read_campaign(tmp_path, text).model.priors
     rounded_values = {symbol: round(prior.u / ARCSEC, 9) for symbol, prior in priors.items()}
     first = {"head.harmonic.1.cos": 2.0, "head.harmonic.1.sin": 3.0}

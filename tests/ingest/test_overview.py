@@ -49,9 +49,9 @@ def test_overview_shows_range_unit_and_role():
 def test_nominal_orientations_are_not_measurements():
     """The table of six faces has nominal directions and readings."""
     faces = np.vstack([np.eye(3), -np.eye(3)] * 2)
-    read = faces * 1.01 + np.random.default_rng(1).normal(0.0, 2e-3, faces.shape)
+    readings = faces * 1.01 + np.random.default_rng(1).normal(0.0, 2e-3, faces.shape)
     columns = {f"n{axis}": faces[:, k] for k, axis in enumerate("xyz")}
-    columns |= {f"a{axis}": read[:, k] for k, axis in enumerate("xyz")}
+    columns |= {f"a{axis}": readings[:, k] for k, axis in enumerate("xyz")}
     contents = contents_of(columns)
     assert "nominal orientations (values -1, 0 and 1 only)" in describe_files([contents])[1]
     assert guess_test([contents]) == "poses"

@@ -183,8 +183,10 @@ def test_matrix_is_split_into_columns(tmp_path, name):
         assert "fs" not in file.names
         assert file.single_numbers() == {"fs": 50.0}
     angle = ColumnSpec(f"pos{mark}1")
-    whole = read_error_message(tmp_path / name, angle=angle, signals={"Qx": ColumnSpec("pos")})
-    assert f"a single column is required: 'pos{mark}1', 'pos{mark}2'" in whole
+    error_message = read_error_message(
+        tmp_path / name, angle=angle, signals={"Qx": ColumnSpec("pos")}
+    )
+    assert f"a single column is required: 'pos{mark}1', 'pos{mark}2'" in error_message
 
 
 def test_matlab_text_file_is_read(tmp_path):

@@ -43,8 +43,8 @@ def test_delimiter_with_most_numbers_is_chosen(mark):
     layout = detect_layout(["x", "a\tb\tc", *rows])
     assert (layout.delimiter, layout.decimal) == ("\t", mark)
     # Whole numbers do not show their mark.
-    whole = detect_layout(["x", "a,b,c", *["1,2,3"] * 4])
-    assert (whole.delimiter, whole.decimal) == (",", ".")
+    layout = detect_layout(["x", "a,b,c", *["1,2,3"] * 4])
+    assert (layout.delimiter, layout.decimal) == (",", ".")
 
 
 def test_stated_layout_takes_precedence():

@@ -38,8 +38,8 @@ class Kernel:
         assert (job.value, kind, size) == (7, 9, 144)
         # The fields at their places in the documentation of Windows.
         raw = bytes(limits._obj)
-        whole = [int.from_bytes(raw[n : n + 8], "little") for n in (0, 16, 112)]
-        self.limits.append((whole[0] / 1e7, whole[1], whole[2]))
+        values = [int.from_bytes(raw[n : n + 8], "little") for n in (0, 16, 112)]
+        self.limits.append((values[0] / 1e7, values[1], values[2]))
 
 
 @pytest.fixture

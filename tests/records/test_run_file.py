@@ -29,11 +29,11 @@ def write_in_two_files(folder, cut=400):
 
 
 def test_record_continues_in_further_files(tmp_path):
-    whole = read_written_record(write_record(tmp_path / "whole.csv", simulate_columns()))
+    written_record = read_written_record(write_record(tmp_path / "whole.csv", simulate_columns()))
     first, second = write_in_two_files(tmp_path)
     record = read_written_record(first, continuation_files=(second,))
-    np.testing.assert_array_equal(record.time, whole.time)
-    np.testing.assert_array_equal(record.signals["Qx"], whole.signals["Qx"])
+    np.testing.assert_array_equal(record.time, written_record.time)
+    np.testing.assert_array_equal(record.signals["Qx"], written_record.signals["Qx"])
     assert record.other_files[second].size == second.stat().st_size
     assert "2 concatenated files" in record.report.notes()[0]
 

@@ -170,6 +170,6 @@ def test_packets_with_exponential_delays_determine_rate(mean_delay, lost):
 
 
 def test_duplicate_rows_count_once():
-    again = np.repeat(np.arange(500), 2)
-    samples = SensorSamples.of(again * STEP, white_noise(500)[again])
+    repeated_result = np.repeat(np.arange(500), 2)
+    samples = SensorSamples.of(repeated_result * STEP, white_noise(500)[repeated_result])
     assert (len(samples.values), samples.repeated, samples.restamped) == (500, 0, 0)

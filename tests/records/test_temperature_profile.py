@@ -30,8 +30,8 @@ def test_ramp_is_exact():
 def test_slow_wave_is_followed_through_coarse_resolution():
     """A segment of 6.3 s has an error of h^2/12 |T''| = 7 mK, plus 63 mK/sqrt(36) of rounding."""
     true = 25.0 + 5.0 * np.sin(2.0 * np.pi * T / 300.0)
-    read = np.where(np.arange(T.size) % 40 == 0, np.round(true * 16.0) / 16.0, np.nan)
-    profile = np.array(fit_profile(read)) - 273.15
+    result = np.where(np.arange(T.size) % 40 == 0, np.round(true * 16.0) / 16.0, np.nan)
+    profile = np.array(fit_profile(result)) - 273.15
     at = np.linspace(0.0, T[-1], MAX_KNOTS)
     assert np.abs(profile - 25.0 - 5.0 * np.sin(2.0 * np.pi * at / 300.0)).max() < 0.07
 
