@@ -102,7 +102,7 @@ class ResultFile(ResultPart):
     DOCUMENT_TYPE: ClassVar[str] = "result"
 
     schema_version: Annotated[int, Field(alias="schema")] = 1  #: Version of this format.
-    #: SHA-256 checksum of the rest of the file; counterspin verifies it when it reads the file.
+    #: SHA-256 checksum of the rest of the file, verified whenever the file is read.
     seal: str | None = None
 
     _content: bytes | None = PrivateAttr(default=None)

@@ -362,7 +362,7 @@ class TriadResult(ResultPart):
 
     accelerometers: list[str]  #: Names of the accelerometers, in the order of the other fields.
     parameters: dict[str, Coefficient]  #: Offsets, sensitivities, angles and second-order terms.
-    correlation: Correlation | None = None  #: Correlation of the determined parameters.
+    correlation: Correlation | None = None  #: Correlations of the determined parameters.
     #: Uncertainty budget of each parameter, with full names of terms, largest contribution first;
     #: empty in files of earlier versions.
     budget: dict[str, list[BudgetLine]] = {}

@@ -56,7 +56,7 @@ class Dossier(ReportableResult):
     passed: bool  #: Whether no case failed and no file of the installation is altered or missing.
     installation: Installation  #: Installed software.
     cases: list[CheckedCase]  #: All cases.
-    not_covered: list[str]  #: Limits of the validation, as text.
+    not_covered: list[str]  #: Limitations of the validation, as text.
 
     @property
     def identifier(self) -> str:
