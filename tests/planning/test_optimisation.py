@@ -12,9 +12,9 @@ from planning_setups import ATTITUDES, fit_u, make_setup
 from scipy.optimize import linprog
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.planning.candidate_set import relax
+from counterspin.planning.candidate_set import relax_design
 from counterspin.planning.design import Criterion, Design, Limits, RunType, scale_to_time
-from counterspin.planning.optimisation import minimise_time, optimise, polish
+from counterspin.planning.optimisation import minimise_time, optimise, polish_design
 from counterspin.planning.run_information import Predictor, RunInformation
 
 FAST = 2.0 * math.pi
@@ -135,7 +135,7 @@ def runs_of(design):
 @pytest.mark.parametrize("types", [ONE, BOTH], ids=["one sense", "both"])
 def test_optimum_satisfies_equivalence_theorem(predictor, criterion, types):
     limits = replace(DAY, types=types)
-    support, optimum = relax(predictor, limits, criterion)
+    support, optimum = relax_design(predictor, limits, criterion)
     rows = predictor.information.blocks(*runs_of(support))
     weighted = (rows * np.sqrt(optimum.design)[:, None, None]).reshape(-1, predictor.p)
     information = weighted.T @ weighted + predictor.prior.T @ predictor.prior
@@ -176,7 +176,9 @@ def test_d_optimal_gain_is_coefficient_count():
         max_runs=10,
         min_revolutions=10.0,
     )
-    _, optimum = relax(predictor, limits, Criterion((0, 1, 2), (1.0, 1.0, 1.0), "determinant"))
+    _, optimum = relax_design(
+        predictor, limits, Criterion((0, 1, 2), (1.0, 1.0, 1.0), "determinant")
+    )
     # The criterion is half the logarithm per coefficient: ten runs gain a half in all.
     assert optimum.shadow_price * limits.max_runs == pytest.approx(0.5, rel=1e-3)
     assert float(optimum.design.sum()) == pytest.approx(limits.max_runs)
@@ -218,7 +220,7 @@ def test_rate_settings_match_exhaustive_search(predictor):
             start = scale_to_time(
                 Design(ONE * count, np.array(rates), np.full(count, 30.0)), limits
             )
-            best = min(best, polish(predictor, limits, criterion, start)[0])
+            best = min(best, polish_design(predictor, limits, criterion, start)[0])
     assert optimum.value == pytest.approx(best, abs=1e-4)
 
 

@@ -172,7 +172,7 @@ def _run_improvement(
         "count": len(suggestion.runs),
         "minutes": format_number(suggestion.seconds / 60.0, 2),
         "remaining_u": _format_u(suggestion.u, unit),
-        "current_u": _format_u(suggestion.u_without, unit),
+        "current_u": _format_u(suggestion.u_without_runs, unit),
     }
 
 

@@ -36,10 +36,10 @@ from counterspin.planning.design import Criterion, Design, Limits, RunType
 from counterspin.planning.run_information import Predictor
 
 #: Numbers of rates and lengths on the first grid, if any rate is available.
-_GRID_RATES: Final = 9
-_GRID_LENGTHS: Final = 12
+_N_GRID_RATES: Final = 9
+_N_GRID_LENGTHS: Final = 12
 #: Number of refinements of the grid around its support.
-_REFINEMENTS: Final = 4
+_N_REFINEMENTS: Final = 4
 
 
 DesignT = TypeVar("DesignT")
@@ -62,24 +62,24 @@ class Optimum(Generic[DesignT]):
         return math.exp(min(0.0, self.bound - self.value))
 
 
-def relax(
+def relax_design(
     predictor: Predictor, limits: Limits, criterion: Criterion
 ) -> tuple[Design, Optimum[Array]]:
     """Solve the relaxation on a grid; return its support, and the optimal count of each run."""
-    grid, steps = _make_initial_grid(limits)
+    grid, grid_steps = _make_initial_grid(limits)
     candidates = _build_candidates(predictor, limits, grid)
     resources = (float(limits.max_runs), limits.total_time)
     solution = candidates.relax(criterion, *resources)
-    for refinement in range(1, _REFINEMENTS + 1):
-        support = np.flatnonzero(solution.design > ZERO_WEIGHT)
-        finer_grid = _refine_grid(limits, grid, support, steps * 0.5**refinement)
+    for refinement in range(1, _N_REFINEMENTS + 1):
+        support = np.flatnonzero(solution.design > MIN_WEIGHT)
+        finer_grid = _refine_grid(limits, grid, support, grid_steps * 0.5**refinement)
         if not finer_grid.types:
             break
         grid = grid.concatenate(finer_grid)
         candidates = candidates.concatenate(_build_candidates(predictor, limits, finer_grid))
-        start = np.concatenate([solution.design, np.zeros(len(finer_grid.types))])
-        solution = candidates.relax(criterion, *resources, start)
-    support = np.flatnonzero(solution.design > ZERO_WEIGHT)
+        initial_weights = np.concatenate([solution.design, np.zeros(len(finer_grid.types))])
+        solution = candidates.relax(criterion, *resources, initial_weights)
+    support = np.flatnonzero(solution.design > MIN_WEIGHT)
     return grid.select(support.tolist()), replace(solution, design=solution.design[support])
 
 
@@ -99,17 +99,17 @@ def _make_initial_grid(limits: Limits) -> tuple[Design, Array]:
     elif high < low * (1.0 + 1e-9):
         rates = np.array([high])
     else:
-        rates = np.geomspace(low, high, _GRID_RATES)
+        rates = np.geomspace(low, high, _N_GRID_RATES)
     grid_rates, grid_revolutions = [], []
     max_revolutions = np.array([_max_revolutions(limits, float(rate)) for rate in rates])
     length_step = (
         max(1e-9, math.log(max(2.0, float(max_revolutions.max()) / limits.min_revolutions)))
-        / _GRID_LENGTHS
+        / _N_GRID_LENGTHS
     )
     for rate, maximum in zip(rates, max_revolutions, strict=True):
         if maximum >= limits.min_revolutions * (1.0 - 1e-12):
-            span = math.log(max(maximum / limits.min_revolutions, 1.0))
-            log_ratios = np.linspace(0.0, span, math.ceil(span / length_step) + 1)
+            log_span = math.log(max(maximum / limits.min_revolutions, 1.0))
+            log_ratios = np.linspace(0.0, log_span, math.ceil(log_span / length_step) + 1)
             grid_rates.append(np.full(log_ratios.size, rate))
             grid_revolutions.append(limits.min_revolutions * np.exp(log_ratios))
     rate, revolutions = np.concatenate(grid_rates), np.concatenate(grid_revolutions)
@@ -150,19 +150,19 @@ Indices = npt.NDArray[np.intp]
 #: Ridge of the scaled information: unknowns that are not determined get a large, finite variance.
 _RIDGE: Final = 1e-12
 #: Scaled variance above which a low-rank update of the covariance would lose precision.
-_ILL_CONDITIONED: Final = 1e6
+_MAX_VARIANCE_RATIO: Final = 1e6
 #: Steps of the multiplicative algorithm before the first gradient step, and the smallest weight to
 #: keep, relative to the largest.
-_INITIAL_STEPS: Final = 20
+_N_INITIAL_STEPS: Final = 20
 _MIN_INITIAL_FRACTION: Final = 0.03
 #: Fraction of uniform weights in the mixture at which gains are computed.
 _UNIFORM_FRACTION: Final = 1e-4
 #: Largest number of gradient steps.
-_GRADIENT_STEPS: Final = 30
+_N_GRADIENT_STEPS: Final = 30
 #: Tolerance for points above an edge of the hull, relative to the largest gain.
-_ROUNDING: Final = 1e-12
+_RELATIVE_TOLERANCE: Final = 1e-12
 #: Weight below which a candidate is unused.
-ZERO_WEIGHT: Final = 1e-5
+MIN_WEIGHT: Final = 1e-5
 #: Relative gap of u to the bound at which the relaxation has converged.
 _OPTIMALITY_GAP: Final = 3e-4
 
@@ -180,11 +180,11 @@ class CandidateSet:
     prior_considered: Array
     cost: Array  #: Time of each observation, s, shape (n,); zero if the time is unlimited.
 
-    def concatenate(self, addition: CandidateSet) -> CandidateSet:
+    def concatenate(self, other: CandidateSet) -> CandidateSet:
         """Return the candidates of both sets."""
         fields = ("design", "considered", "cost")
         design, considered, cost = (
-            np.concatenate([getattr(self, field), getattr(addition, field)]) for field in fields
+            np.concatenate([getattr(self, field), getattr(other, field)]) for field in fields
         )
         return CandidateSet(design, considered, self.prior_design, self.prior_considered, cost)
 
@@ -207,7 +207,7 @@ class CandidateSet:
         """
         n = np.asarray(counts, dtype=np.float64)
         scale, noise_covariance, considered_moments = self._scaled_moments(n)
-        if np.max(np.diag(noise_covariance) / scale**2) > _ILL_CONDITIONED:
+        if np.max(np.diag(noise_covariance) / scale**2) > _MAX_VARIANCE_RATIO:
             return self.value(criterion, n + np.eye(n.size))
         indices, design_transpose = list(criterion.indices), np.swapaxes(self.design, 1, 2)
         projection = self.design @ noise_covariance
@@ -293,24 +293,24 @@ class _Relaxation:
     def solve(self, weights: Array) -> Optimum[Array]:
         """Return the optimal weights, starting from `weights`."""
         value = self.value(weights)
-        bound, price = -math.inf, 0.0
-        for _ in range(_GRADIENT_STEPS):
+        bound, shadow_price = -math.inf, 0.0
+        for _ in range(_N_GRADIENT_STEPS):
             # Away from zero weights, all gains are finite. The bound holds for any weights.
             interior_weights = weights + _UNIFORM_FRACTION * (self.uniform_weights() - weights)
             interior_value, gains = self.value_and_gains(interior_weights)
-            lp_weights, price = self.linear_optimum(gains)
+            lp_weights, shadow_price = self.linear_optimum(gains)
             bound = max(
                 bound, interior_value + float(gains @ interior_weights) - float(gains @ lp_weights)
             )
             if value - bound < _OPTIMALITY_GAP:
                 break
-            support = np.flatnonzero((weights > ZERO_WEIGHT) | (lp_weights > ZERO_WEIGHT))
+            support = np.flatnonzero((weights > MIN_WEIGHT) | (lp_weights > MIN_WEIGHT))
             new_weights = self.optimise_support(support, weights, lp_weights)
             new_value = self.value(new_weights)
             if new_value > value - 0.01 * _OPTIMALITY_GAP:
                 break  # any further decrease is rounding
             weights, value = new_weights, new_value
-        return Optimum(weights, value, bound, price)
+        return Optimum(weights, value, bound, shadow_price)
 
     def value(self, weights: Array) -> float:
         """Return the criterion value."""
@@ -338,7 +338,7 @@ class _Relaxation:
         are finite.
         """
         resource_use, weights = self._resource_use(), self.uniform_weights()
-        for _ in range(_INITIAL_STEPS):
+        for _ in range(_N_INITIAL_STEPS):
             _, gains = self.value_and_gains(weights)
             weights = self._scale_to_limits(weights * np.sqrt(gains / resource_use))
         return self._scale_to_limits(
@@ -368,35 +368,37 @@ class _Relaxation:
         """
         hull_costs, hull_gains = np.append(self.cost, 0.0), np.append(gains, 0.0)
         mean_cost = self.max_cost / self.max_count
-        lower, upper = gains.size, int(np.argmax(hull_gains))
+        lower_index, upper_index = gains.size, int(np.argmax(hull_gains))
         weights = np.zeros_like(hull_gains)
-        if hull_costs[upper] <= mean_cost:  # only the count is limited
-            weights[upper] = self.max_count
-            return weights[:-1], float(hull_gains[upper])
+        if hull_costs[upper_index] <= mean_cost:  # only the count is limited
+            weights[upper_index] = self.max_count
+            return weights[:-1], float(hull_gains[upper_index])
         while True:
-            slope = (hull_gains[upper] - hull_gains[lower]) / (
-                hull_costs[upper] - hull_costs[lower]
+            slope = (hull_gains[upper_index] - hull_gains[lower_index]) / (
+                hull_costs[upper_index] - hull_costs[lower_index]
             )
             intercepts = hull_gains - slope * hull_costs
-            price = float(intercepts[lower])
-            hull_vertex = int(np.argmax(intercepts))
-            if intercepts[hull_vertex] <= price + _ROUNDING * hull_gains[upper] or hull_vertex in (
-                lower,
-                upper,
+            shadow_price = float(intercepts[lower_index])
+            vertex_index = int(np.argmax(intercepts))
+            if intercepts[vertex_index] <= shadow_price + _RELATIVE_TOLERANCE * hull_gains[
+                upper_index
+            ] or vertex_index in (
+                lower_index,
+                upper_index,
             ):
                 break
-            lower, upper = (
-                (hull_vertex, upper)
-                if hull_costs[hull_vertex] <= mean_cost
-                else (lower, hull_vertex)
+            lower_index, upper_index = (
+                (vertex_index, upper_index)
+                if hull_costs[vertex_index] <= mean_cost
+                else (lower_index, vertex_index)
             )
-        weights[upper] = (
+        weights[upper_index] = (
             self.max_count
-            * (mean_cost - hull_costs[lower])
-            / (hull_costs[upper] - hull_costs[lower])
+            * (mean_cost - hull_costs[lower_index])
+            / (hull_costs[upper_index] - hull_costs[lower_index])
         )
-        weights[lower] = self.max_count - weights[upper]
-        return weights[:-1], price
+        weights[lower_index] = self.max_count - weights[upper_index]
+        return weights[:-1], shadow_price
 
     def optimise_support(self, support: Indices, weights: Array, lp_weights: Array) -> Array:
         """Return the optimal weights on a support."""

@@ -16,7 +16,7 @@ from counterspin.frozen import frozen
 _DISTINCT_RATE_RATIO: Final = 1.25
 
 #: Relative tolerance of that ratio, for rounded rates.
-_ROUNDING: Final = 1e-4
+_RATE_TOLERANCE: Final = 1e-4
 
 #: Relative tolerance of all limits.
 _LIMIT_TOLERANCE: Final = 1e-6
@@ -57,12 +57,12 @@ class Design:
         types = (*self.types[:index], run_type, *self.types[index + 1 :])
         return Design(types, self.rate, self.revolutions)
 
-    def concatenate(self, addition: Design) -> Design:
+    def concatenate(self, other: Design) -> Design:
         """Return the runs of both designs."""
         return Design(
-            self.types + addition.types,
-            np.concatenate([self.rate, addition.rate]),
-            np.concatenate([self.revolutions, addition.revolutions]),
+            self.types + other.types,
+            np.concatenate([self.rate, other.rate]),
+            np.concatenate([self.revolutions, other.revolutions]),
         )
 
 
@@ -99,9 +99,9 @@ class Limits:
         if not self.rate_settings:
             return np.clip(rates, *self.rate_range)
         rate_settings = np.array(self.rate_settings)
-        ratio: Array = np.abs(np.log(rates[:, None] / rate_settings))
-        nearest: Array = rate_settings[np.argmin(ratio, axis=1)]
-        return nearest
+        log_ratios: Array = np.abs(np.log(rates[:, None] / rate_settings))
+        nearest_settings: Array = rate_settings[np.argmin(log_ratios, axis=1)]
+        return nearest_settings
 
     def contains(self, design: Design) -> bool:
         """Check that a campaign is within all limits, except for rounding."""
@@ -164,7 +164,7 @@ class Limits:
         for index in np.argsort(-rate, kind="stable"):
             max_rate = math.inf if not indices else float(rate[indices[-1]]) / self.min_rate_ratio
             # Settings may have any ratio; other rates need the least ratio, except for rounding.
-            max_rate *= 1.0 - 1e-9 if self.rate_settings else 1.0 + _ROUNDING
+            max_rate *= 1.0 - 1e-9 if self.rate_settings else 1.0 + _RATE_TOLERANCE
             if len(indices) < self.min_rates and rate[index] <= max_rate:
                 indices.append(int(index))
         return indices
@@ -218,11 +218,11 @@ def measurement_order(types: Sequence[RunType]) -> list[int]:
     """
     order: list[int] = []
     for attitude in dict.fromkeys(run_type.attitude for run_type in types):
-        by_sense = [
+        runs_by_sense = [
             [i for i, run_type in enumerate(types) if run_type == (attitude, sense)]
             for sense in (1, -1)
         ]
-        majority, minority = sorted(by_sense, key=len, reverse=True)
+        majority, minority = sorted(runs_by_sense, key=len, reverse=True)
         for i, index in enumerate(majority):
             order.append(index)
             order += minority[i : i + 1]

@@ -101,17 +101,17 @@ def fault_requirements(
     expected = expected_values(campaign, model.unknowns)
     observations = _rebuild_observations(prediction, model, expected)
     fit = replace(full_fit, model=model, observations=observations)
-    basis = f"for the expected value of {name}"
+    basis_text = f"for the expected value of {name}"
     if expected[index] == 0.0:
         expected[index] = unknown.limit
         unit = unit_of(unknown.symbol)
-        basis = f"if {name} had the largest credible value, {unknown.limit:.3g} {unit}"
+        basis_text = f"if {name} had the largest credible value, {unknown.limit:.3g} {unit}"
     # The rotation has an independent fault in each run.
     owners = {symbol: [run.name for run in campaign.runs] for symbol in ROTATION}
     owners |= {symbol: [""] for symbol in _INPUTS}
     faults = [
         Fault(
-            symbol, "", 1.0, "", tuple(as_considered_term(owner, symbol) for owner in term_owners)
+            symbol, "", 1.0, "", tuple(make_considered_term(owner, symbol) for owner in term_owners)
         )
         for symbol, term_owners in owners.items()
     ]
@@ -134,7 +134,7 @@ def fault_requirements(
     ]
     allowed_shift = _TOLERABLE_FRACTION_OF_U * prediction.u[name]
     max_sizes = {**_MAX_SIZES, "m": _MAX_SIZES["1"] * campaign.radius.value}
-    return basis, [
+    return basis_text, [
         Requirement(
             words=text,
             size=allowed_size
@@ -182,10 +182,12 @@ def _angle_noise_shift(campaign: Campaign, shifts_by_run: Array, sampling_rate: 
         a, b, c = (sensitivity * scale).tolist()  # to 1, t and t^2, t from 0 to 1
         # 1, t - 1/2 and (t - 1/2)^2 minus its mean are orthogonal over even samples; these are
         # the mean squares.
-        linear_ms = (n + 1.0) / (12.0 * (n - 1.0))
-        quadratic_ms = (n + 1.0) * (n**2 - 4.0) / (180.0 * (n - 1.0) ** 3)
-        quadratic = c - b + a * (0.25 - linear_ms)
-        variance += (a**2 + (b - 0.5 * a) ** 2 / linear_ms + quadratic**2 / quadratic_ms) / n
+        linear_mean_square = (n + 1.0) / (12.0 * (n - 1.0))
+        quadratic_mean_square = (n + 1.0) * (n**2 - 4.0) / (180.0 * (n - 1.0) ** 3)
+        quadratic = c - b + a * (0.25 - linear_mean_square)
+        variance += (
+            a**2 + (b - 0.5 * a) ** 2 / linear_mean_square + quadratic**2 / quadratic_mean_square
+        ) / n
     return math.sqrt(variance)
 
 
@@ -229,18 +231,18 @@ def path_fault(symbol: str) -> Fault:
     """Return an error of the path with both quadratures, such as ``encoder.harmonic.1``."""
     rows = [row for row in MOTION_TERMS.values() if row.family == symbol]
     return _make_family_fault(
-        symbol, [as_considered_term("", row.symbol) for row in rows], rows[0].typical
+        symbol, [make_considered_term("", row.symbol) for row in rows], rows[0].typical
     )
 
 
-def as_considered_term(owner: str, symbol: str) -> Considered:
+def make_considered_term(owner: str, symbol: str) -> Considered:
     """Return a term with the nominal value 0 and the size 1 as a considered term."""
     return Considered(owner, symbol, (0.0, 0.0), 1.0)
 
 
 def square_term_fault(name: str) -> Fault:
     """Return K_II of an accelerometer, which the estimate recovers completely."""
-    return Fault("K_II", "", 1.0, "g/g^2", (as_considered_term(name, "K_II"),))
+    return Fault("K_II", "", 1.0, "g/g^2", (make_considered_term(name, "K_II"),))
 
 
 def mean_square_fault(name: str) -> Fault:
@@ -338,7 +340,7 @@ def _batch_sensitivities(
     )
     split_indices = np.cumsum([len(fault.terms) for fault in faults])[:-1]
 
-    def all_columns(observation: Observation) -> Array:
+    def stack_columns(observation: Observation) -> Array:
         columns_by_fault = np.split(term_columns(observation), split_indices, axis=1)
         return np.column_stack(
             [
@@ -347,17 +349,17 @@ def _batch_sensitivities(
             ]
         )
 
-    batch_result = sensitivities(fit, all_columns)
+    batch_result = sensitivities(fit, stack_columns)
     start = 0
     for fault in faults:
-        columns_slice = slice(start, start := start + max(1, len(fault.terms)))
+        column_slice = slice(start, start := start + max(1, len(fault.terms)))
         accelerometer_products = {
-            name: products[columns_slice, columns_slice]
+            name: products[column_slice, column_slice]
             for name, products in batch_result.accelerometer_products.items()
         }
         shifts, products = (
-            batch_result.shifts[:, columns_slice],
-            batch_result.residual_products[columns_slice, columns_slice],
+            batch_result.shifts[:, column_slice],
+            batch_result.residual_products[column_slice, column_slice],
         )
         yield FaultSensitivity(shifts, products, accelerometer_products, batch_result.dof, fault)
 

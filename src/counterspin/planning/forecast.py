@@ -309,24 +309,24 @@ def scale_factors(campaign: Campaign) -> dict[str, float]:
     return factors
 
 
-def make_setup(campaign: Campaign, sampling_rate: float, *, with_considered: bool = True) -> Setup:
+def make_setup(campaign: Campaign, sampling_rate: float, *, keep_considered: bool = True) -> Setup:
     """Return the setup of a plan from its template campaign, with one run in each attitude.
 
     sampling_rate: Hz.
-    with_considered: True: keep considered terms; False: estimate them with their priors and omit
+    keep_considered: True: keep considered terms; False: estimate them with their priors and omit
         changes from run to run, which gives a bound for any estimator.
     """
     reference_temperature = campaign.reference_temperature or 0.0
-    warm_runs = tuple(
+    runs_at_temperature = tuple(
         run.model_copy(update={"temperature": (reference_temperature + 1.0,)})
         for run in campaign.runs
     )
     model = make_unknowns(
-        replace(campaign, reference_temperature=reference_temperature, runs=warm_runs)
+        replace(campaign, reference_temperature=reference_temperature, runs=runs_at_temperature)
     )
     # The warming is a slope, as in runs without a recorded temperature.
     model = model.without([row.symbol for row in CONDITION_TERMS.values() if row.effect.power > 1])
-    if not with_considered:
+    if not keep_considered:
         estimated_terms = tuple(
             Unknown(
                 considered_term.owner,

@@ -123,7 +123,7 @@ _KERNEL: Final = (
     ((-6.0, 3, 0), (-5.0, 1, 1)),
     ((24.0, 4, 0), (28.0, 2, 1), (5.0, 0, 2)),
 )
-_BINOMIAL: Final = ((1,), (1, 1), (1, 2, 1), (1, 3, 3, 1), (1, 4, 6, 4, 1))
+_BINOMIAL_COEFFICIENTS: Final = ((1,), (1, 1), (1, 2, 1), (1, 3, 3, 1), (1, 4, 6, 4, 1))
 
 
 @frozen(eq=False)
@@ -231,7 +231,9 @@ def _moments(step: Array, count: Array, max_harmonic: int) -> Array:
     result = np.zeros((len(step), 7, max_harmonic + 1))
     sign = (1.0, -1.0, -1.0, 1.0, 1.0)
     for p in range(5):
-        terms = (_BINOMIAL[p][j] * derivatives[p - j] * kernel[j] for j in range(p + 1))
+        terms = (
+            _BINOMIAL_COEFFICIENTS[p][j] * derivatives[p - j] * kernel[j] for j in range(p + 1)
+        )
         result[:, p, 1:] = sign[p] * sum(terms)
     e = e[:, 0]
     result[:, 0, 0] = 1.0
@@ -304,7 +306,7 @@ def _factor_samples(
 
 
 #: Phases at which factors are tabulated; the number of rows per revolution is a multiple.
-_PHASES: Final = 16
+_N_PHASES: Final = 16
 
 #: Ratio of neighbouring nodes in the number of revolutions, and in the rate.
 _REVOLUTION_RATIO: Final = 1.13
@@ -330,8 +332,8 @@ class InformationTable:
         noise: Noise,
         added_variance: VarianceFunction | None,
         sampling_rate: float,
-        rates: tuple[float, float],
-        revolutions: tuple[float, float],
+        rate_range: tuple[float, float],
+        revolution_range: tuple[float, float],
         n_harmonics: int,
     ) -> None:
         self._order = order
@@ -341,16 +343,16 @@ class InformationTable:
         self._n_dropped = order if noise.random_walk > 0.0 else 0
         self._sampling_rate = sampling_rate
         self._n_harmonics = n_harmonics
-        if revolutions[1] > (max_revolutions := MAX_COMPUTED_ROWS / BLOCKS_PER_REVOLUTION):
+        if revolution_range[1] > (max_revolutions := MAX_COMPUTED_ROWS / BLOCKS_PER_REVOLUTION):
             raise CounterspinError(
-                f"limits: these limits allow runs of {revolutions[1]:.3g} revolutions. With a "
+                f"limits: these limits allow runs of {revolution_range[1]:.3g} revolutions. With a "
                 "random walk or time-stamp jitter, the search covers only runs of at most "
                 f"{max_revolutions:.3g} revolutions. Reduce longest_run, total_time or "
                 "highest_rate",
                 code="value-out-of-range",
             )
-        self._counts = _integer_grid(revolutions)
-        self._nodes = _log_nodes(*rates)
+        self._counts = _integer_grid(revolution_range)
+        self._nodes = _log_nodes(*rate_range)
 
     @cached_property
     def _integer_spline(self) -> Any:
@@ -360,7 +362,7 @@ class InformationTable:
     @cached_property
     def _phase_splines(self) -> Any:
         """The splines for each phase at the end of a run."""
-        return self._make_spline(_PHASES)
+        return self._make_spline(_N_PHASES)
 
     def _make_spline(self, n_phases: int) -> Any:
         """Return a spline over log rate and log revolutions of factors, (phases, b, b)."""
@@ -372,8 +374,8 @@ class InformationTable:
         tables = []
         for rate in np.exp(self._nodes):
             samples_per_revolution = 2.0 * math.pi * self._sampling_rate / rate
-            points_per_revolution = _PHASES * int(
-                np.clip(round(samples_per_revolution / _PHASES), 1, max_density)
+            points_per_revolution = _N_PHASES * int(
+                np.clip(round(samples_per_revolution / _N_PHASES), 1, max_density)
             )
             angle = (np.arange(points_per_revolution * (counts[-1] + 1)) + 0.5) * (
                 2.0 * math.pi / points_per_revolution
@@ -447,9 +449,9 @@ def _conversion_matrices(counts: npt.NDArray[np.int64], n_phases: int) -> Array:
 
 def _trigonometric_weights(revolutions: Array) -> Array:
     """Return the weights of equally spaced phases in trigonometric interpolation, (n, phases)."""
-    phase_distance = revolutions[:, None] % 1.0 - np.arange(_PHASES) / _PHASES
+    phase_distance = revolutions[:, None] % 1.0 - np.arange(_N_PHASES) / _N_PHASES
     half_angle = math.pi * np.where(np.abs(phase_distance) < 1e-12, 1.0, phase_distance)
-    weights = np.sin(_PHASES * half_angle) / (_PHASES * np.tan(half_angle))
+    weights = np.sin(_N_PHASES * half_angle) / (_N_PHASES * np.tan(half_angle))
     return np.asarray(np.where(np.abs(phase_distance) < 1e-12, 1.0, weights))
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from counterspin.planning.design import Criterion, Design, Limits, allow_both_senses, scale_to_time
-from counterspin.planning.optimisation import find_shortest_plan, polish
+from counterspin.planning.optimisation import find_shortest_plan, polish_design
 from counterspin.planning.result import LimitResult
 from counterspin.planning.run_information import Predictor
 from counterspin.planning.search import Search
@@ -20,7 +20,7 @@ RELAXATION_FRACTION: Final = 0.1
 MIN_GAIN: Final = 5e-4
 
 #: Relative distance from a limit within which the limit is active.
-_ACTIVE_DISTANCE: Final = 2e-3
+_ACTIVITY_TOLERANCE: Final = 2e-3
 
 
 class _Limit(NamedTuple):
@@ -51,29 +51,29 @@ def active_limits(search: Search, design: Design) -> list[LimitResult]:
 def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
     limits, increase, decrease = search.limits, 1.0 + RELAXATION_FRACTION, 1.0 - RELAXATION_FRACTION
     low, high = limits.rate_range
-    just_below, just_above = 1.0 - _ACTIVE_DISTANCE, 1.0 + _ACTIVE_DISTANCE
+    lower_factor, upper_factor = 1.0 - _ACTIVITY_TOLERANCE, 1.0 + _ACTIVITY_TOLERANCE
     total_time, max_duration = limits.total_time, limits.max_duration
-    is_time_used = (
+    is_time_exhausted = (
         search.plan.goal.kind == "minimise"
-        and limits.campaign_time(design) > total_time * just_below
+        and limits.campaign_time(design) > total_time * lower_factor
     )
     yield _Limit(
         "total_time",
         f"total time {total_time:.6g} s",
-        is_time_used,
+        is_time_exhausted,
         {"total_time": limits.total_time * increase},
     )
     rate_settings = (*limits.rate_settings, high * increase) if limits.rate_settings else ()
     yield _Limit(
         "rate",
         f"highest rate {high:.6g} rad/s",
-        bool((design.rate > high * just_below).any()),
+        bool((design.rate > high * lower_factor).any()),
         {"rate_range": (low, high * increase), "rate_settings": rate_settings},
     )
     yield _Limit(
         "lowest_rate",
         f"lowest rate {low:.6g} rad/s",
-        not limits.rate_settings and bool((design.rate < low * just_above).any()),
+        not limits.rate_settings and bool((design.rate < low * upper_factor).any()),
         {"rate_range": (low * decrease, high)},
     )
     min_rates, max_runs = limits.min_rates, limits.max_runs
@@ -98,13 +98,13 @@ def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
     yield _Limit(
         "revolutions",
         f"at least {limits.min_revolutions:g} revolutions",
-        bool((design.revolutions < limits.min_revolutions * just_above).any()),
+        bool((design.revolutions < limits.min_revolutions * upper_factor).any()),
         {"min_revolutions": limits.min_revolutions * decrease},
     )
     yield _Limit(
         "longest_run",
         f"longest run {max_duration:.6g} s",
-        max_duration < total_time and bool((design.duration > max_duration * just_below).any()),
+        max_duration < total_time and bool((design.duration > max_duration * lower_factor).any()),
         {"max_duration": max_duration * increase},
     )
     yield _Limit("sampling_rate", f"sampling rate {search.plan.sampling_rate:.6g} Hz", True, {})
@@ -142,15 +142,15 @@ def _relaxed_starts(search: Search, key: str, limits: Limits, design: Design) ->
     if key == "runs":
         n_added = limits.max_runs - len(design.types)
         # Repeat the shortest run of each type: optimal plans have many short runs.
-        longest_first = np.argsort(-design.duration, kind="stable")
-        run_types = {design.types[index]: index for index in longest_first}
+        indices_by_duration = np.argsort(-design.duration, kind="stable")
+        index_by_type = {design.types[index]: index for index in indices_by_duration}
         additions = [
             Design(
                 (run_type,) * n_added,
                 np.repeat(design.rate[index], n_added),
                 np.repeat(design.revolutions[index], n_added),
             )
-            for run_type, index in run_types.items()
+            for run_type, index in index_by_type.items()
         ]
         return [design, *(design.concatenate(addition) for addition in additions)]
     if key == "fewest_rates" and len(design.types) > 1:
@@ -177,4 +177,4 @@ def _optimised_value(search: Search, predictor: Predictor, limits: Limits, desig
         )
         return math.log(limits.campaign_time(shortest_design)) if meets_goal else math.inf
     start = scale_to_time(design, limits) or design
-    return polish(predictor, limits, search.criterion, start)[0]
+    return polish_design(predictor, limits, search.criterion, start)[0]

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
-from counterspin.planning.candidate_set import Optimum, relax
+from counterspin.planning.candidate_set import Optimum, relax_design
 from counterspin.planning.design import (
     Criterion,
     Design,
@@ -33,8 +33,8 @@ from counterspin.planning.run_information import Predictor
 #: Minimum relative gain of u (or of time) for a change of the plan.
 _MIN_GAIN: Final = 2e-5
 #: Passes of exchanges, and how many candidates are polished in each.
-_PASSES: Final = 3
-_MAX_POLISHED: Final = 5
+_N_PASSES: Final = 3
+_MAX_POLISHED_DESIGNS: Final = 5
 #: Minimum weight of a group in the relaxation, in runs, to get a run.
 _MIN_RUN_WEIGHT: Final = 0.02
 #: Relative difference in rate and length below which two runs are equal in exchanges.
@@ -60,31 +60,34 @@ def optimise(
             code="plan-infeasible",
         )
     relaxations = [
-        (*relax(relaxed_predictor or predictor, run_limits, criterion), run_limits)
+        (*relax_design(relaxed_predictor or predictor, run_limits, criterion), run_limits)
         for run_limits in _attitude_subsets(limits)
     ]
     relaxations.sort(key=lambda relaxation: relaxation[1].bound)
-    best: tuple[float, Design] | None = None
-    for support, relaxed, run_limits in relaxations:
-        if best is not None and relaxed.bound > best[0] - _MIN_GAIN:
+    best_pair: tuple[float, Design] | None = None
+    for support, relaxed_optimum, subset_limits in relaxations:
+        if best_pair is not None and relaxed_optimum.bound > best_pair[0] - _MIN_GAIN:
             break  # all further subsets have higher bounds
-        starts = list(_integer_starts(support, relaxed, run_limits))
-        if start is not None and (adjusted_start := fit_to_limits(start, run_limits)) is not None:
+        starts = list(_integer_starts(support, relaxed_optimum, subset_limits))
+        if (
+            start is not None
+            and (adjusted_start := fit_to_limits(start, subset_limits)) is not None
+        ):
             starts = [adjusted_start, *starts[:1]]
-        starts = starts or list(_fastest_starts(run_limits))
+        starts = starts or list(_fastest_starts(subset_limits))
         if not starts:
             continue
-        local_best = _polish_best(predictor, run_limits, criterion, starts)
-        local_best = _exchange_runs(predictor, run_limits, criterion, local_best)
-        if best is None or local_best[0] < best[0] - _MIN_GAIN:
-            best = local_best
-    if best is None:
+        local_pair = _polish_best(predictor, subset_limits, criterion, starts)
+        local_pair = _exchange_runs(predictor, subset_limits, criterion, local_pair)
+        if best_pair is None or local_pair[0] < best_pair[0] - _MIN_GAIN:
+            best_pair = local_pair
+    if best_pair is None:
         raise NotIdentifiableError(
             f"the search found no plan of at most {limits.max_runs} runs that fits into "
             f"{limits.total_time:.6g} s; allow more time",
             code="plan-infeasible",
         )
-    value, design = _order_runs(predictor, criterion, *best)
+    value, design = _order_runs(predictor, criterion, *best_pair)
     return Optimum(design, value, min(relaxations[0][1].bound, value))
 
 
@@ -110,26 +113,33 @@ def _attitude_subsets(limits: Limits) -> Iterator[Limits]:
             )
 
 
-def _integer_starts(design: Design, relaxed: Optimum[Array], limits: Limits) -> Iterator[Design]:
+def _integer_starts(
+    design: Design, relaxed_optimum: Optimum[Array], limits: Limits
+) -> Iterator[Design]:
     """Yield starts with integer numbers of runs in place of the relaxed weights.
 
     design: Support of the relaxation.
     """
     groups: dict[tuple[RunType, float], list[int]] = {}
     for index, (run_type, rate) in enumerate(zip(design.types, design.rate, strict=True)):
-        rate_group = float(rate) if limits.rate_settings else float(round(8.0 * math.log(rate)))
-        groups.setdefault((run_type, rate_group), []).append(index)
-    group_weights = np.array([relaxed.design[index].sum() for index in groups.values()])
+        rate_key = float(rate) if limits.rate_settings else float(round(8.0 * math.log(rate)))
+        groups.setdefault((run_type, rate_key), []).append(index)
+    group_weights = np.array([relaxed_optimum.design[index].sum() for index in groups.values()])
     run_types = [run_type for run_type, _ in groups]
-    group_rates = np.array([design.rate[i[np.argmax(relaxed.design[i])]] for i in groups.values()])
+    group_rates = np.array(
+        [design.rate[i[np.argmax(relaxed_optimum.design[i])]] for i in groups.values()]
+    )
     group_revolutions = np.array(
-        [np.average(design.revolutions[i], weights=relaxed.design[i]) for i in groups.values()]
+        [
+            np.average(design.revolutions[i], weights=relaxed_optimum.design[i])
+            for i in groups.values()
+        ]
     )
     total_weight = float(group_weights.sum())
     run_totals = {
         min(limits.max_runs, max(1, n)) for n in (math.floor(total_weight), math.ceil(total_weight))
     }
-    run_totals |= {limits.max_runs} if relaxed.shadow_price > 0.0 else set()
+    run_totals |= {limits.max_runs} if relaxed_optimum.shadow_price > 0.0 else set()
     allocations = [
         _round_by_largest_remainder(group_weights, count)
         for count in sorted(run_totals, reverse=True)
@@ -207,18 +217,19 @@ def _polish_best(
 ) -> tuple[float, Design]:
     """Polish the most promising starts."""
     ranked_starts = sorted(starts, key=lambda design: predictor.value(criterion, design))
-    polished = [
-        polish(predictor, limits, criterion, design) for design in ranked_starts[:_MAX_POLISHED]
+    polished_pairs = [
+        polish_design(predictor, limits, criterion, design)
+        for design in ranked_starts[:_MAX_POLISHED_DESIGNS]
     ]
-    return min(polished, key=lambda pair: pair[0])
+    return min(polished_pairs, key=lambda pair: pair[0])
 
 
 def _exchange_runs(
-    predictor: Predictor, limits: Limits, criterion: Criterion, best: tuple[float, Design]
+    predictor: Predictor, limits: Limits, criterion: Criterion, best_pair: tuple[float, Design]
 ) -> tuple[float, Design]:
     """Exchange, remove or add runs until the criterion no longer decreases."""
-    for _ in range(_PASSES):
-        value, design = best
+    for _ in range(_N_PASSES):
+        value, design = best_pair
         scaled_designs = (
             scale_to_time(candidate, limits) for candidate in _neighbour_designs(design, limits)
         )
@@ -227,14 +238,14 @@ def _exchange_runs(
             key=lambda candidate: predictor.value(criterion, candidate),
         )
         polished = (
-            polish(predictor, limits, criterion, candidate)
-            for candidate in candidates[:_MAX_POLISHED]
+            polish_design(predictor, limits, criterion, candidate)
+            for candidate in candidates[:_MAX_POLISHED_DESIGNS]
         )
         improvement = next((pair for pair in polished if pair[0] < value - _MIN_GAIN), None)
         if improvement is None:
-            return best
-        best = improvement
-    return best
+            return best_pair
+        best_pair = improvement
+    return best_pair
 
 
 def _neighbour_designs(design: Design, limits: Limits) -> Iterator[Design]:
@@ -322,9 +333,10 @@ def minimise_time(
     Returns: None if no plan within the limits reaches the targets. The criterion's value and bound
         are logarithms of the time in s.
     """
-    targets = replace(criterion, combination="sum")
+    sum_criterion = replace(criterion, combination="sum")
     single_criteria = [
-        Criterion((i,), (scale,)) for i, scale in zip(targets.indices, targets.scales, strict=True)
+        Criterion((i,), (scale,))
+        for i, scale in zip(sum_criterion.indices, sum_criterion.scales, strict=True)
     ]
 
     def worst_excess(design: Design) -> float:
@@ -333,14 +345,14 @@ def minimise_time(
             float(single_criterion.value(covariance)) for single_criterion in single_criteria
         )
 
-    design = optimise(predictor, limits, targets, relaxed_predictor=relaxed_predictor).design
+    design = optimise(predictor, limits, sum_criterion, relaxed_predictor=relaxed_predictor).design
     if worst_excess(design) > 0.0 and len(single_criteria) > 1:
         # Increase the weight of the worst parameter until all reach their targets.
         for _ in range(8):
-            u_ratios = predictor.u(design)[list(targets.indices)] / np.array(criterion.scales)
-            scales = np.array(targets.scales) / np.sqrt(u_ratios)
-            targets = replace(targets, scales=tuple(float(scale) for scale in scales))
-            _, design = polish(predictor, limits, targets, design)
+            u_ratios = predictor.u(design)[list(sum_criterion.indices)] / np.array(criterion.scales)
+            scales = np.array(sum_criterion.scales) / np.sqrt(u_ratios)
+            sum_criterion = replace(sum_criterion, scales=tuple(float(scale) for scale in scales))
+            _, design = polish_design(predictor, limits, sum_criterion, design)
             if worst_excess(design) <= 0.0:
                 break
     if worst_excess(design) > 1e-9:
@@ -354,7 +366,7 @@ def minimise_time(
         optimum = optimise(
             predictor,
             replace(limits, total_time=max(time, limits.min_time)),
-            targets,
+            sum_criterion,
             relaxed_predictor=relaxed_predictor,
         )
         candidate = find_shortest_plan(predictor, limits, single_criteria, optimum.design)
@@ -364,7 +376,7 @@ def minimise_time(
             best_design = candidate
         time = 0.5 * (time + limits.campaign_time(best_design))
     _, best_design = _order_runs(
-        predictor, targets, predictor.value(targets, best_design), best_design
+        predictor, sum_criterion, predictor.value(sum_criterion, best_design), best_design
     )
     return Optimum(best_design, math.log(limits.campaign_time(best_design)), math.log(bound))
 
@@ -374,12 +386,14 @@ def _lower_time_bound(predictor: Predictor, limits: Limits, criterion: Criterion
     low, high = math.log(limits.min_time), math.log(limits.total_time)
     for _ in range(10):
         log_time = 0.5 * (low + high)
-        _, relaxed = relax(predictor, replace(limits, total_time=math.exp(log_time)), criterion)
-        low, high = (log_time, high) if relaxed.bound > 0.0 else (low, log_time)
+        _, relaxed_optimum = relax_design(
+            predictor, replace(limits, total_time=math.exp(log_time)), criterion
+        )
+        low, high = (log_time, high) if relaxed_optimum.bound > 0.0 else (low, log_time)
     return math.exp(low)
 
 
-def polish(
+def polish_design(
     predictor: Predictor, limits: Limits, criterion: Criterion, design: Design
 ) -> tuple[float, Design]:
     """Optimise rates and lengths for fixed types of runs; return the criterion and the design."""

@@ -54,9 +54,9 @@ def plan_blocks(result: PlanResult) -> list[Block]:
 
 def _summary_blocks(result: PlanResult) -> Iterator[Block]:
     goal = result.goal
-    goal_names = goal.sizes if goal else {_main_coefficient(result): 1.0}
+    goal_sizes = goal.sizes if goal else {_main_coefficient(result): 1.0}
     u_texts, prior_sentences = [], []
-    for name in goal_names:
+    for name in goal_sizes:
         owner, _, symbol = name.partition(".")
         coefficient = (
             result.accelerometers[owner].coefficients[symbol]
@@ -65,26 +65,26 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
         )
         u_texts.append(f"u({_display_name(name)}) = {_format_u(coefficient)}")
         if owner in result.accelerometers:
-            label = _display_name(name) if len(goal_names) > 1 else ""
+            label = _display_name(name) if len(goal_sizes) > 1 else ""
             prior_sentences.append(
                 default_prior_sentence(result.accelerometers[owner], symbol, label)
             )
-    totals = [
+    total_texts = [
         f"{count} {noun}{'s' * (count > 1)}"
         for count, noun in ((len(result.runs), "run"), (len(result.readings), "reading"))
         if count
     ]
-    totals += [_format_time(result.total_time)] if result.total_time > 0.0 else []
-    yield Paragraph(f"{'; '.join(u_texts)}: {', '.join(totals)}.", "answer")
+    total_texts += [_format_time(result.total_time)] if result.total_time > 0.0 else []
+    yield Paragraph(f"{'; '.join(u_texts)}: {', '.join(total_texts)}.", "answer")
     for sentence in (*prior_sentences, assumption_sentence(result)):
         if sentence:
             yield Paragraph(sentence)
     if goal is not None:
         yield Paragraph(_optimality_sentence(goal, result.total_time > 0.0))
-    gravity = format_number(result.gravity, 9)
+    gravity_text = format_number(result.gravity, 9)
     yield Paragraph(
         "All values are standard uncertainties (k = 1) expected from a joint calibration, "
-        f"expressed in units of the local gravity, g = {gravity} m/s^2.",
+        f"expressed in units of the local gravity, g = {gravity_text} m/s^2.",
         "quiet",
     )
 
@@ -188,7 +188,7 @@ def _accelerometer_blocks(
     result: PlanResult, name: str, accelerometer: PlannedAccelerometer
 ) -> Iterator[Block]:
     yield Heading(f"Expected uncertainties for {name}")
-    rows, quiet_rows = [], set()
+    rows, dimmed_rows = [], set()
     coefficients = dict(accelerometer.coefficients) | result.platform
     for index, (symbol, coefficient) in enumerate(coefficients.items()):
         rows.append(
@@ -200,7 +200,7 @@ def _accelerometer_blocks(
             )
         )
         if not coefficient.estimated:
-            quiet_rows.add(index)
+            dimmed_rows.add(index)
     yield Table(
         (
             Column("Coefficient"),
@@ -209,7 +209,7 @@ def _accelerometer_blocks(
             Column("Sources", wraps=True),
         ),
         tuple(rows),
-        frozenset(quiet_rows),
+        frozenset(dimmed_rows),
     )
     for confounded_terms in accelerometer.confounded:
         yield Paragraph(
@@ -330,8 +330,8 @@ def _fault_blocks(
             "prior contributes its default standard uncertainty."
         )
     if detected_faults:
-        symbols = ", ".join(fault.symbol for fault in detected_faults)
-        yield Paragraph(f"The residuals would reveal {symbols}.")
+        symbols_text = ", ".join(fault.symbol for fault in detected_faults)
+        yield Paragraph(f"The residuals would reveal {symbols_text}.")
     harmonic_share = accelerometer.harmonic_share
     if harmonic_share is None:
         return
@@ -357,9 +357,9 @@ def _limit_blocks(result: PlanResult) -> Iterator[Block]:
         return
     rows = []
     for limit in result.limits:
-        change = _CHANGE_TEXTS.get(limit.key, "relaxed by 10 %")
-        gain = f"{format_number(100.0 * limit.gain, 2)} %" if limit.binds else "none"
-        rows.append((limit.words, change, gain))
+        change_text = _CHANGE_TEXTS.get(limit.key, "relaxed by 10 %")
+        gain_text = f"{format_number(100.0 * limit.gain, 2)} %" if limit.binds else "none"
+        rows.append((limit.words, change_text, gain_text))
     yield Table(
         (
             Column("Limit", wraps=True),

@@ -146,7 +146,7 @@ def plan(
     parsed_plan = read_plan(where, file)
     search = Search(parsed_plan)
     require_determined(search)
-    optimum = search.best()
+    optimum = search.find_optimum()
     if optimum is None:
         raise unreachable_target_error(search)
     design, prediction = _round_to_targets(search, search.order_runs(optimum.design))
@@ -179,7 +179,7 @@ def plan(
 def _plan_readings(where: Mapping[str, Any] | Path | str, file: Path | None) -> PlannedCampaign:
     """Return a plan of readings, with their values left blank in its campaign."""
     parsed_plan = read_reading_plan(where, file)
-    result, readings = ReadingSearch(parsed_plan).best()
+    result, readings = ReadingSearch(parsed_plan).find_plan()
     document = format_document(parsed_plan.campaign_document(readings), _COMMENTS)
     return PlannedCampaign(result, document, load_plan(where), file)
 
@@ -354,7 +354,7 @@ def _alternative_plans(
             start = search.minimise_u(half_time_limits).design
             half_time_design = search.round_design(search.order_runs(start), half_time_limits)
     plans = []
-    for text, alternative in (
+    for text, alternative_design in (
         (
             (
                 "plan of the paper: 1/4, 1/2 and 1 times the highest rate, with equal numbers of "
@@ -365,11 +365,11 @@ def _alternative_plans(
         ("equally spaced rates, equal durations", search.even_rate_design(design, total_time)),
         ("best plan in half the time", half_time_design),
     ):
-        if alternative is None:
+        if alternative_design is None:
             continue
-        alternative_u = forecast(search.campaign(alternative)).u
-        alternative_time = search.limits.campaign_time(alternative)
-        label = f"{text} ({len(alternative.types)} runs)"
+        alternative_u = forecast(search.campaign(alternative_design)).u
+        alternative_time = search.limits.campaign_time(alternative_design)
+        label = f"{text} ({len(alternative_design.types)} runs)"
         plans.append(
             compare_plan(
                 label, alternative_time, prediction.u, alternative_u, search.plan.goal.sizes

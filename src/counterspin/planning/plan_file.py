@@ -41,7 +41,7 @@ from counterspin.planning.result import GoalResult
 _MIN_RATE_FRACTION: Final = 0.125
 
 #: Default number of distinct rates of a plan, if the limits allow it.
-_DEFAULT_RATES: Final = 2
+_N_DEFAULT_RATES: Final = 2
 
 #: Minimum number of samples of a run, and maximum number of revolutions.
 _MIN_SAMPLES: Final = 3.0
@@ -146,7 +146,7 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
     attitudes = _name_attitudes(settings.attitudes if settings else ["level"], problems)
     document = _campaign_document(raw, settings)
     document["noise"] = _reject_estimated_noise(table_of(document, "noise"), problems)
-    if _refuse_time_dependence(document, problems):
+    if _reject_time_dependence(document, problems):
         raise campaign_error(file, problems.lines)
     template_runs = [
         {"name": name, "rate": "1 rad/s", "record": f"run{i}.csv", "attitude": attitude}
@@ -176,12 +176,12 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
     return plan
 
 
-def _refuse_time_dependence(document: Mapping[str, Any], problems: Problems) -> bool:
+def _reject_time_dependence(document: Mapping[str, Any], problems: Problems) -> bool:
     """Report terms that depend on the time or temperature of runs, which are not known yet.
 
     Return True if there are any such terms.
     """
-    model, error_count = table_of(document, "model"), len(problems.lines)
+    model, n_errors = table_of(document, "model"), len(problems.lines)
     for key in ("terms", "hold", "considered"):
         for index, name in enumerate(list_of(model, key)):
             condition = condition_of(name) if isinstance(name, str) else ""
@@ -192,7 +192,7 @@ def _refuse_time_dependence(document: Mapping[str, Any], problems: Problems) -> 
                     "plan; omit the term here, add it to the planned campaign, and run a forecast "
                     "of that campaign",
                 )
-    return len(problems.lines) > error_count
+    return len(problems.lines) > n_errors
 
 
 def _campaign_document(raw: Mapping[str, Any], settings: LimitsSettings | None) -> dict[str, Any]:
@@ -344,7 +344,7 @@ def _resolve_limits(
         min_revolutions=min_revolutions,
         max_duration=min(max_duration, settings.total_time),
         max_runs=settings.runs,
-        min_rates=settings.fewest_rates or _DEFAULT_RATES,
+        min_rates=settings.fewest_rates or _N_DEFAULT_RATES,
     )
     if settings.fewest_rates is None and (_rate_shortage_reason(limits) or not limits.is_feasible):
         limits = replace(limits, min_rates=1)
@@ -454,8 +454,10 @@ def resolve_goal(
         problems.add(("goal", kind), "does not name a coefficient", "unknown-term")
     for index, name in enumerate(names):
         path = ("goal", kind, name if isinstance(goal_entries, Mapping) else index)
-        matches = [unknown for unknown in shared_unknowns if name in (unknown.name, unknown.symbol)]
-        if not matches:
+        matching_unknowns = [
+            unknown for unknown in shared_unknowns if name in (unknown.name, unknown.symbol)
+        ]
+        if not matching_unknowns:
             known_names = dict.fromkeys(
                 known_name
                 for unknown in shared_unknowns
@@ -467,9 +469,11 @@ def resolve_goal(
             continue
         u_target: float | None = 1.0
         if isinstance(goal_entries, Mapping):
-            u_target = _resolve_size(goal_entries[name], matches[0], campaign, path, problems)
-        sizes |= {unknown.name: u_target for unknown in matches if u_target is not None}
-        units |= {unit_of(unknown.symbol) for unknown in matches}
+            u_target = _resolve_size(
+                goal_entries[name], matching_unknowns[0], campaign, path, problems
+            )
+        sizes |= {unknown.name: u_target for unknown in matching_unknowns if u_target is not None}
+        units |= {unit_of(unknown.symbol) for unknown in matching_unknowns}
     if not isinstance(goal_entries, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(
             ("goal", kind),

@@ -50,17 +50,17 @@ _MAX_EXCHANGES: Final = 400
 
 #: Number of random starts, if the candidates are at most `_MAX_CANDIDATES_RANDOM_STARTS`.
 _MAX_CANDIDATES_RANDOM_STARTS: Final = 60
-_RANDOM_STARTS: Final = 6
+_N_RANDOM_STARTS: Final = 6
 #: Number of random starts for at most `_SMALL_COUNT` readings, with more local optima.
 _SMALL_COUNT: Final = 12
-_RANDOM_STARTS_SMALL_COUNT: Final = 60
+_N_RANDOM_STARTS_SMALL_COUNT: Final = 60
 _ROUNDING_SEED: Final = 1
 
 #: Relative tolerance of a target.
-_ROUNDING: Final = 1e-9
+_RELATIVE_TOLERANCE: Final = 1e-9
 
 #: Number of bisections in the search for the least limit.
-_BISECTIONS: Final = 12
+_N_BISECTIONS: Final = 12
 
 
 def best_counts(
@@ -70,14 +70,14 @@ def best_counts(
 
     max_count, max_time: Maximum sum of the counts and of their times, s; one must be finite.
     """
-    relaxed = candidates.relax(criterion, max_count, max_time)
+    relaxed_optimum = candidates.relax(criterion, max_count, max_time)
     visited_keys: set[bytes] = set()
     results = [
         _exchange_readings(candidates, criterion, start, max_count, max_time, visited_keys)
-        for start in _initial_counts(candidates, relaxed.design, max_count, max_time)
+        for start in _initial_counts(candidates, relaxed_optimum.design, max_count, max_time)
     ]
     value, counts = min(results, key=lambda result: result[0])
-    return Optimum(counts, value, min(relaxed.bound, value))
+    return Optimum(counts, value, min(relaxed_optimum.bound, value))
 
 
 def _initial_counts(
@@ -87,21 +87,25 @@ def _initial_counts(
 
     weights: Relaxed counts, shape (n,).
     """
-    rounded = np.floor(weights + 1e-6).astype(np.int64)
-    n_random_starts = _RANDOM_STARTS_SMALL_COUNT if max_count <= _SMALL_COUNT else _RANDOM_STARTS
+    rounded_weights = np.floor(weights + 1e-6).astype(np.int64)
+    n_random_starts = (
+        _N_RANDOM_STARTS_SMALL_COUNT if max_count <= _SMALL_COUNT else _N_RANDOM_STARTS
+    )
     rng, n_random_starts = (
         np.random.default_rng(_ROUNDING_SEED),
         n_random_starts if weights.size <= _MAX_CANDIDATES_RANDOM_STARTS else 0,
     )
     # Rounded counts; zeros, to which exchanges add readings one by one; random rounding.
     starts = [
-        rounded.copy(),
-        np.zeros_like(rounded),
-        *(rounded.copy() for _ in range(n_random_starts)),
+        rounded_weights.copy(),
+        np.zeros_like(rounded_weights),
+        *(rounded_weights.copy() for _ in range(n_random_starts)),
     ]
     for counts in (starts[0], *starts[2:]):
         remainders = (
-            weights - rounded + (0.0 if counts is starts[0] else rng.uniform(size=weights.size))
+            weights
+            - rounded_weights
+            + (0.0 if counts is starts[0] else rng.uniform(size=weights.size))
         )
         for index in np.argsort(-remainders, kind="stable"):
             counts[index] += _allows_addition(candidates, counts, max_count, max_time)[index]
@@ -128,20 +132,20 @@ def _exchange_readings(
         visited_keys.add(counts.tobytes())
         lowest_value, best_candidate = math.inf, counts
         for removed_index in (None, *np.flatnonzero(counts)):
-            candidate = counts.copy()
+            candidate_counts = counts.copy()
             is_allowed = np.ones(counts.size, dtype=np.bool_)
             if removed_index is not None:
-                candidate[removed_index] -= 1
+                candidate_counts[removed_index] -= 1
                 is_allowed[removed_index] = False
-            is_allowed &= _allows_addition(candidates, candidate, max_count, max_time)
+            is_allowed &= _allows_addition(candidates, candidate_counts, max_count, max_time)
             if not is_allowed.any():
                 continue
             values = np.where(
-                is_allowed, candidates.values_with_addition(criterion, candidate), math.inf
+                is_allowed, candidates.values_with_addition(criterion, candidate_counts), math.inf
             )
             best_index = int(np.argmin(values))
             if values[best_index] < lowest_value:
-                lowest_value, best_candidate = float(values[best_index]), candidate
+                lowest_value, best_candidate = float(values[best_index]), candidate_counts
                 best_candidate[best_index] += 1
         new_value = float(candidates.value(criterion, best_candidate))
         if not new_value < value - _MIN_GAIN:
@@ -178,9 +182,9 @@ def least_counts(
 
     def meets_targets(optimum: Optimum[Counts]) -> bool:
         variance = np.diag(candidates.covariance(optimum.design))[list(criterion.indices)]
-        is_met_by_search = bool(np.all(np.sqrt(variance) <= scales * (1.0 + _ROUNDING)))
+        is_met_by_search = bool(np.all(np.sqrt(variance) <= scales * (1.0 + _RELATIVE_TOLERANCE)))
         return is_met_by_search and bool(
-            np.all(forecast_u(optimum.design) <= scales * (1.0 + _ROUNDING))
+            np.all(forecast_u(optimum.design) <= scales * (1.0 + _RELATIVE_TOLERANCE))
         )
 
     def scale_limits(fraction: float) -> tuple[float, float] | None:
@@ -200,26 +204,26 @@ def least_counts(
     if not meets_targets(optimum):
         return None
     low, high = 0.0, 1.0
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        fraction_limits = scale_limits(middle)
+    for _ in range(_N_BISECTIONS):
+        middle_fraction = 0.5 * (low + high)
+        fraction_limits = scale_limits(middle_fraction)
         candidate = (
             None
             if fraction_limits is None
             else best_counts(candidates, criterion, *fraction_limits)
         )
         if candidate is not None and meets_targets(candidate):
-            optimum, high = candidate, middle
+            optimum, high = candidate, middle_fraction
         else:
-            low = middle
+            low = middle_fraction
     lower_bound = 0.0
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (lower_bound + high)
-        fraction_limits = scale_limits(middle)
+    for _ in range(_N_BISECTIONS):
+        middle_fraction = 0.5 * (lower_bound + high)
+        fraction_limits = scale_limits(middle_fraction)
         if fraction_limits is None or candidates.relax(criterion, *fraction_limits).bound > 0.0:
-            lower_bound = middle
+            lower_bound = middle_fraction
         else:
-            high = middle
+            high = middle_fraction
     return optimum, lower_bound
 
 
@@ -237,7 +241,7 @@ class ReadingSearch:
         self.candidates = _make_candidate_set(plan, model)
         self.criterion = plan.goal.make_criterion([unknown.name for unknown in model.unknowns])
 
-    def best(self) -> tuple[PlanResult, list[CandidateReading]]:
+    def find_plan(self) -> tuple[PlanResult, list[CandidateReading]]:
         """Find the readings for the plan's goal."""
         self._require_determined()
         optimum, least_fraction = self._find_optimum()
@@ -260,13 +264,13 @@ class ReadingSearch:
             "limits": self._active_limits(optimum),
         }
         result = make_plan_result(prediction, None, float(cost @ optimum.design))
-        return result.model_copy(update=fields), self._ordered_readings(optimum.design)
+        return result.model_copy(update=fields), self._order_readings(optimum.design)
 
     def forecast(self, counts: Counts) -> Forecast:
         """Return the forecast of the campaign with these counts."""
-        return _forecast_readings(self.plan, self._ordered_readings(counts))
+        return _forecast_readings(self.plan, self._order_readings(counts))
 
-    def _ordered_readings(self, counts: Counts) -> list[CandidateReading]:
+    def _order_readings(self, counts: Counts) -> list[CandidateReading]:
         """Return the readings in measurement order; refuse too many readings."""
         if counts.sum() > MAX_READINGS:
             raise CounterspinError(
@@ -306,12 +310,12 @@ class ReadingSearch:
         optimum = least_counts(self.candidates, self.criterion, *self.limits, forecast_u)
         if optimum is not None:
             return optimum
-        best_numbers = best_counts(self.candidates, self.criterion, *self.limits).design
+        optimal_counts = best_counts(self.candidates, self.criterion, *self.limits).design
         text = describe_missed_target(
-            self.forecast(best_numbers),
+            self.forecast(optimal_counts),
             goal.sizes,
             "no choice of readings within the limits",
-            f"The best choice of {best_numbers.sum()} readings",
+            f"The best choice of {optimal_counts.sum()} readings",
         )
         raise CounterspinError(text + ".", code="goal-not-reached")
 
@@ -424,16 +428,16 @@ def order_readings(counts: Counts, order: str) -> list[int]:
     if order == "listed":
         return [int(index) for index in np.repeat(np.arange(counts.size), counts)]
     if order == "random":
-        everything = np.repeat(np.arange(counts.size), counts)
-        return [int(i) for i in np.random.default_rng(_ORDER_SEED).permutation(everything)]
+        all_indices = np.repeat(np.arange(counts.size), counts)
+        return [int(i) for i in np.random.default_rng(_ORDER_SEED).permutation(all_indices)]
     # Pairs are symmetric about the middle; odd readings are in the middle.
     first_half: list[int] = []
-    remaining = counts // 2
+    remaining_counts = counts // 2
     is_forward = True
-    while remaining.any():
-        indices = np.flatnonzero(remaining)
+    while remaining_counts.any():
+        indices = np.flatnonzero(remaining_counts)
         first_half += [int(i) for i in (indices if is_forward else indices[::-1])]
-        remaining = remaining - (remaining > 0)
+        remaining_counts = remaining_counts - (remaining_counts > 0)
         is_forward = not is_forward
     middle = [int(index) for index in np.flatnonzero(counts % 2)]
     return [*first_half, *middle, *reversed(first_half)]

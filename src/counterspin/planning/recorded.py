@@ -41,7 +41,7 @@ def add_pose_noise(campaign: Campaign) -> Campaign:
     if campaign.triad is None:
         return campaign
     fitted_poses = campaign_poses(campaign)
-    poses = [fitted.pose for fitted in fitted_poses]
+    poses = [fitted_pose.pose for fitted_pose in fitted_poses]
     has_blank_values = any(math.isnan(reading.value) for pose in poses for reading in pose)
     if has_blank_values or all(reading.u is not None for pose in poses for reading in pose):
         return campaign
@@ -66,11 +66,13 @@ def needs_records(campaign: Campaign, sampling_rate: float | None) -> bool:
     """
     if not campaign.runs or campaign.simulation is not None:
         return False
-    is_described = sampling_rate is not None and all(
+    has_described_runs = sampling_rate is not None and all(
         run.duration is not None for run in campaign.runs
     )
-    is_recorded = all(run.record in campaign.frames or run.record.exists() for run in campaign.runs)
-    return is_recorded and not (is_described and _unstated_noise_keys(campaign) == set())
+    has_all_records = all(
+        run.record in campaign.frames or run.record.exists() for run in campaign.runs
+    )
+    return has_all_records and not (has_described_runs and _unstated_noise_keys(campaign) == set())
 
 
 def apply_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
@@ -85,8 +87,8 @@ def observe_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str,
     observed_runs = list(observe(campaign))
     if not _unstated_noise_keys(campaign):
         return observed_runs, {}
-    estimated, _ = estimate_campaign(JointProblem(campaign, observed_runs))
-    return observed_runs, fitted_noise(estimated.fit)
+    estimate, _ = estimate_campaign(JointProblem(campaign, observed_runs))
+    return observed_runs, fitted_noise(estimate.fit)
 
 
 def fitted_noise(fit: JointFit) -> dict[str, Noise]:
@@ -159,7 +161,7 @@ class SuggestedRuns:
     runs: list[dict[str, Any]]  #: Entries of ``[[runs]]``.
     seconds: float  #: Total duration of their records, s.
     u: float  #: Forecast standard uncertainty of the coefficient with the runs.
-    u_without: float  #: Forecast standard uncertainty without the runs.
+    u_without_runs: float  #: Forecast standard uncertainty without the runs.
 
 
 @single_blas_thread()
@@ -185,7 +187,7 @@ def suggest_runs(
             apply_observations(new_campaign, observed_runs, noise), sampling_rate=new_rates
         ).u[name]
 
-    u_without = forecast_u(())
+    u_without_runs = forecast_u(())
     best: SuggestedRuns | None = None
     for attitude, runs in _candidate_runs(apply_observations(campaign, observed_runs, noise)):
         seconds = sum(float(run["duration"].split()[0]) for run in runs)
@@ -193,9 +195,9 @@ def suggest_runs(
             u = forecast_u(runs)
         except NotIdentifiableError:
             continue
-        candidate = SuggestedRuns(attitude, runs, seconds, u, u_without)
+        candidate = SuggestedRuns(attitude, runs, seconds, u, u_without_runs)
         is_longer = best is not None and seconds > best.seconds
-        if u < _MAX_U_RATIO * u_without and (
+        if u < _MAX_U_RATIO * u_without_runs and (
             best is None or u < (_MAX_U_RATIO if is_longer else 1.0) * best.u
         ):
             best = candidate

@@ -39,7 +39,7 @@ from counterspin.planning.information_table import (
     sqrt_information,
 )
 from counterspin.planning.weights import (
-    PER_SECOND,
+    PER_SECOND_SUFFIX,
     Key,
     PlannedInstrument,
     Setup,
@@ -64,15 +64,15 @@ class RunInformation:
     def __init__(
         self,
         setup: Setup,
-        rates: tuple[float, float],
-        revolutions: tuple[float, float],
+        rate_range: tuple[float, float],
+        revolution_range: tuple[float, float],
         senses: Sequence[int],
     ) -> None:
         self.setup = setup
-        low, high = rates
+        low, high = rate_range
         # A single rate is a range too, or there would be nothing to interpolate.
-        self._rates = (low * 0.99, high * 1.01) if high < 1.02 * low else rates
-        self._revolutions = revolutions
+        self._rates = (low * 0.99, high * 1.01) if high < 1.02 * low else rate_range
+        self._revolutions = revolution_range
         run_types = [(name, sense) for name in setup.attitudes for sense in senses]
         self._run_types = {run_type: index for index, run_type in enumerate(run_types)}
         self._terms = TermWeights(setup, self._rates, run_types)
@@ -88,7 +88,7 @@ class RunInformation:
         )
         model = setup.model
         rate_keys = [
-            make_key(model.unknowns[setup.shared_indices[i]], PER_SECOND)
+            make_key(model.unknowns[setup.shared_indices[i]], PER_SECOND_SUFFIX)
             for i in self._time_indices
         ]
         own_indices = {name: setup.own_indices(name) for name in setup.attitudes}
@@ -256,7 +256,7 @@ class RunInformation:
             else np.concatenate(instrument_rows, axis=1)
         )
         for prior in self._own_prior_rows[run_types].T:
-            rows = _project_out_first(rows, prior[:, None, None])
+            rows = _project_out_first_column(rows, prior[:, None, None])
         return rows.reshape(*shape, *rows.shape[1:])
 
     @property
@@ -305,7 +305,7 @@ class RunInformation:
         return np.asarray(inverse_sd * sqrt_information(samples, weights, instrument.order))
 
 
-def _project_out_first(rows: Array, prior: Array) -> Array:
+def _project_out_first_column(rows: Array, prior: Array) -> Array:
     """Project the first unknown, with the prior 1/u, shape (n, 1, 1), out of rows.
 
     The remaining information is Y' (1 - x x'/(prior^2 + x'x)) Y. Its square root is Y minus a
@@ -350,14 +350,18 @@ class Predictor:
     def __init__(self, information: RunInformation) -> None:
         self.information = information
         setup = information.setup
-        shared = [setup.model.unknowns[i] for i in setup.shared_indices]
-        self.names = tuple(unknown.name for unknown in shared)
-        sd = np.array([unknown.prior_sd for unknown in shared])
+        shared_unknowns = [setup.model.unknowns[i] for i in setup.shared_indices]
+        self.names = tuple(unknown.name for unknown in shared_unknowns)
+        prior_sds = np.array([unknown.prior_sd for unknown in shared_unknowns])
         #: An unknown without a prior is constrained as weakly as in the solution.
-        self.prior = whiten_priors(np.eye(sd.size), sd, prior_correlation(shared))
-        sizes = setup.considered_sds
-        self.common_sds = sizes[list(setup.shared_considered)]
-        self.own_sds = {name: sizes[list(setup.own_indices(name)[1])] for name in setup.attitudes}
+        self.prior = whiten_priors(
+            np.eye(prior_sds.size), prior_sds, prior_correlation(shared_unknowns)
+        )
+        considered_sds = setup.considered_sds
+        self.common_sds = considered_sds[list(setup.shared_considered)]
+        self.own_sds = {
+            name: considered_sds[list(setup.own_indices(name)[1])] for name in setup.attitudes
+        }
 
     @property
     def p(self) -> int:
@@ -410,8 +414,10 @@ class Predictor:
         rows = blocks[..., :p].reshape(*batch_shape, -1, p)
         prior = np.broadcast_to(self.prior, (*batch_shape, p, p))
         triangle = triangular_factor(np.concatenate([rows, prior], axis=-2))
-        root = np.linalg.inv(triangle)
-        noise_covariance = np.asarray(root @ np.swapaxes(root, -1, -2), dtype=np.float64)
+        inverse_triangle = np.linalg.inv(triangle)
+        noise_covariance = np.asarray(
+            inverse_triangle @ np.swapaxes(inverse_triangle, -1, -2), dtype=np.float64
+        )
         if blocks.shape[-1] == p:
             return noise_covariance, noise_covariance, np.zeros((*batch_shape, p, 0))
         moments = np.swapaxes(blocks[..., :p], -1, -2) @ self._scale_considered(types, blocks)
@@ -432,8 +438,8 @@ class Predictor:
         columns = blocks[..., self.p :].copy()
         columns[..., :q] *= self.common_sds
         for index, run_type in enumerate(types):
-            run_sizes = self.own_sds[run_type.attitude]
-            columns[..., index, :, q : q + run_sizes.size] *= run_sizes
+            run_sds = self.own_sds[run_type.attitude]
+            columns[..., index, :, q : q + run_sds.size] *= run_sds
         return columns
 
     def sensitivities(self, design: Design, criterion: Criterion) -> tuple[float, Array, Array]:
@@ -442,9 +448,11 @@ class Predictor:
         The information of a run enters the covariance as P dM P, so the derivatives need only
         shifted blocks, not further solutions.
         """
-        up, down = 1.0 + _DERIVATIVE_STEP, 1.0 - _DERIVATIVE_STEP
-        rate = np.array([[1.0], [up], [down], [1.0], [1.0]]) * design.rate
-        revolutions = np.array([[1.0], [1.0], [1.0], [up], [down]]) * design.revolutions
+        upper_factor, lower_factor = 1.0 + _DERIVATIVE_STEP, 1.0 - _DERIVATIVE_STEP
+        rate = np.array([[1.0], [upper_factor], [lower_factor], [1.0], [1.0]]) * design.rate
+        revolutions = (
+            np.array([[1.0], [1.0], [1.0], [upper_factor], [lower_factor]]) * design.revolutions
+        )
         # The start time depends on the previous runs; its small effect on derivatives is neglected.
         conditions = _expected_conditions(design.types, design.duration)
         blocks = self.information.blocks(design.types, rate, revolutions, conditions=conditions)

@@ -20,7 +20,7 @@ from counterspin.inference.joint.budget import budget
 from counterspin.inference.least_squares import Block
 from counterspin.inference.priors import prior_correlation
 from counterspin.physics.terms import find_symbol, term
-from counterspin.planning.candidate_set import Optimum, relax
+from counterspin.planning.candidate_set import Optimum, relax_design
 from counterspin.planning.design import (
     Design,
     Limits,
@@ -66,7 +66,7 @@ class Search:
         information = self.predictor.information
         if not information.is_time_dependent and not information.setup.considered_sds.size:
             return None
-        setup = make_setup(self.plan.template, self.plan.sampling_rate, with_considered=False)
+        setup = make_setup(self.plan.template, self.plan.sampling_rate, keep_considered=False)
         return Predictor(information.with_setup(setup))
 
     @property
@@ -81,7 +81,7 @@ class Search:
             for instrument in self.predictor.information.setup.instruments
         )
 
-    def best(
+    def find_optimum(
         self, limits: Limits | None = None, start: Design | None = None
     ) -> Optimum[Design] | None:
         """Return the best plan, within `limits` if given; None if it misses the target."""
@@ -120,14 +120,14 @@ class Search:
         limits = limits or self.limits
         rounded_design = self._round_down(design)
         if self.plan.goal.kind == "minimise":
-            longest_run = int(np.argmax(rounded_design.duration))
+            longest_index = int(np.argmax(rounded_design.duration))
             spare_time = limits.total_time - limits.campaign_time(rounded_design)
             max_extension = min(
-                spare_time, limits.max_duration - float(rounded_design.duration[longest_run])
+                spare_time, limits.max_duration - float(rounded_design.duration[longest_index])
             )
-            steps = math.floor(max_extension / _DURATION_STEP + 1e-6)
-            if steps > 0:
-                rounded_design = _lengthen(rounded_design, longest_run, steps * _DURATION_STEP)
+            n_steps = math.floor(max_extension / _DURATION_STEP + 1e-6)
+            if n_steps > 0:
+                rounded_design = _lengthen(rounded_design, longest_index, n_steps * _DURATION_STEP)
         return rounded_design
 
     def lengthen_to_targets(self, design: Design, targets: Mapping[str, float]) -> Design | None:
@@ -141,9 +141,11 @@ class Search:
         while np.any(self.predictor.u(rounded_design)[indices] > target_u):
             # Lengthen the run that reduces u most by one step.
             candidates = [
-                longer
+                longer_design
                 for index in range(len(rounded_design.types))
-                if (longer := _lengthen(rounded_design, index, _DURATION_STEP)).duration[index]
+                if (longer_design := _lengthen(rounded_design, index, _DURATION_STEP)).duration[
+                    index
+                ]
                 <= self.limits.max_duration * (1.0 + 1e-12)
             ]
             if (
@@ -165,12 +167,13 @@ class Search:
         rate = np.array([self._round_rate(float(run_rate)) for run_rate in design.rate])
         min_durations = self.limits.min_revolutions * 2.0 * math.pi / rate
         steps = np.floor(design.duration / _DURATION_STEP + 1e-6)
-        unrounded = np.maximum(design.duration, min_durations)
-        rounded = steps * _DURATION_STEP
-        feasible = np.minimum(
-            np.where(rounded < min_durations, unrounded, rounded), self.limits.max_duration
+        unrounded_durations = np.maximum(design.duration, min_durations)
+        rounded_durations = steps * _DURATION_STEP
+        feasible_durations = np.minimum(
+            np.where(rounded_durations < min_durations, unrounded_durations, rounded_durations),
+            self.limits.max_duration,
         )
-        duration = np.round(feasible, 9)
+        duration = np.round(feasible_durations, 9)
         return Design(design.types, rate, duration * rate / (2.0 * math.pi))
 
     def _round_rate(self, rate: float) -> float:
@@ -210,24 +213,26 @@ class Search:
     def three_rate_design(self, design: Design, time: float) -> Design | None:
         """Return the paper's plan: 1/4, 1/2 and 1 times the highest rate, equal revolutions."""
         high = self.limits.rate_range[1]
-        return self._make_equal_runs(design, time, np.array([0.25, 0.5, 1.0]) * high, by_turns=True)
+        return self._make_equal_runs(
+            design, time, np.array([0.25, 0.5, 1.0]) * high, equal_revolutions=True
+        )
 
     def even_rate_design(self, design: Design, time: float) -> Design | None:
         """Return the same number of runs with equal durations at equally spaced rates."""
         n_attitudes = len(dict.fromkeys(run_type.attitude for run_type in design.types))
         count = max(2, len(design.types) // n_attitudes)
         rates = np.linspace(*self.limits.rate_range, count)
-        return self._make_equal_runs(design, time, rates, by_turns=False)
+        return self._make_equal_runs(design, time, rates, equal_revolutions=False)
 
     def _make_equal_runs(
-        self, design: Design, time: float, rates: Any, *, by_turns: bool
+        self, design: Design, time: float, rates: Any, *, equal_revolutions: bool
     ) -> Design | None:
         """Return runs at given rates, in each attitude of the plan, that take a given time."""
         attitudes = list(dict.fromkeys(run_type.attitude for run_type in design.types))
         rate = np.tile(rates, len(attitudes))
         available_time = time - (len(attitudes) - 1) * self.limits.attitude_change
         available_time -= float(np.sum(self.limits.overhead(rate)))
-        time_shares = 1.0 / rate if by_turns else np.ones_like(rate)
+        time_shares = 1.0 / rate if equal_revolutions else np.ones_like(rate)
         duration = available_time * time_shares / time_shares.sum()
         if available_time <= 0.0 or np.any(duration * rate < 2.0 * math.pi):
             return None
@@ -303,14 +308,14 @@ def describe_missed_target(
     name = max(goal, key=lambda key: u[key] / goal[key])
     unit = term(find_symbol(name)).unit
     index = [unknown.name for unknown in prediction.fit.model.unknowns].index(name)
-    shares: dict[str, float] = {}
+    share_by_source: dict[str, float] = {}
     for line in budget(prediction.fit, index):
         # Combine the terms of all runs, such as their tilts.
         owner, _, symbol = line.source.partition(".")
         is_run_term = owner in {run.name for run in prediction.campaign.runs}
         source = f"{symbol} of the runs" if is_run_term else line.source
-        shares[source] = shares.get(source, 0.0) + line.share
-    largest_shares = sorted(shares.items(), key=lambda pair: -pair[1])[:_MAX_SOURCES]
+        share_by_source[source] = share_by_source.get(source, 0.0) + line.share
+    largest_shares = sorted(share_by_source.items(), key=lambda pair: -pair[1])[:_MAX_SOURCES]
     sources_text = ", ".join(f"{source} {100.0 * share:.0f} %" for source, share in largest_shares)
     return (
         f"{plans_text} reaches u({name}) = {format_distinct(goal[name], u[name])} {unit}. "
@@ -335,7 +340,7 @@ def _assess_run_types(
 def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
     """Assess the blocks of a predictor in the same way as the blocks of a calibration."""
     setup = predictor.information.setup
-    shared = [setup.model.unknowns[i] for i in setup.shared_indices]
+    shared_unknowns = [setup.model.unknowns[i] for i in setup.shared_indices]
     p = predictor.p
     solution = least_squares.solve(
         [
@@ -349,12 +354,12 @@ def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
             )
             for block in blocks
         ],
-        prior_sd=[unknown.prior[1] for unknown in shared],
-        prior_correlation=prior_correlation(shared),
+        prior_sd=[unknown.prior[1] for unknown in shared_unknowns],
+        prior_correlation=prior_correlation(shared_unknowns),
         considered_sd=predictor.common_sds,
-        limits=[unknown.limit for unknown in shared],
+        limits=[unknown.limit for unknown in shared_unknowns],
     )
-    return assess(solution, [unknown.name for unknown in shared if unknown.is_of_interest])
+    return assess(solution, [unknown.name for unknown in shared_unknowns if unknown.is_of_interest])
 
 
 def _find_helpful_attitude(search: Search, missing_names: list[str]) -> str | None:
@@ -405,10 +410,10 @@ def unreachable_target_error(search: Search) -> CounterspinError:
             total_time=search.limits.total_time * _UNLIMITED_TIME_FACTOR,
             attitude_change=0.0,
         )
-        _, relaxed = relax(
+        _, relaxed_optimum = relax_design(
             search.relaxed_predictor or search.predictor, unlimited_limits, search.criterion
         )
-        min_u = math.exp(relaxed.value) * target
+        min_u = math.exp(relaxed_optimum.value) * target
         if min_u > target:
             text += f". With unlimited time, u would be {format_distinct(min_u, target)} {unit}"
     if all(run_type.sense == 1 for run_type in search.limits.types):

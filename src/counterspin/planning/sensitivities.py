@@ -43,7 +43,7 @@ def sensitivities(fit: JointFit, columns: ColumnFunction) -> Sensitivities:
     model = fit.model
     # One observation at a time, to save memory.
     blocks = [
-        _extended_block(observation, columns(observation), fit) for observation in fit.observations
+        _extend_block(observation, columns(observation), fit) for observation in fit.observations
     ]
     solution = solve_blocks(blocks, _add_considered_columns(model, blocks[0].considered.shape[1]))
     owners = [_residual_owner(observation) for observation in fit.observations]
@@ -65,7 +65,7 @@ def _add_considered_columns(model: Unknowns, n_considered: int) -> Unknowns:
     return Unknowns(model.unknowns, (*model.considered, *added_terms))
 
 
-def _extended_block(observation: Observation, columns: Array, fit: JointFit) -> Block:
+def _extend_block(observation: Observation, columns: Array, fit: JointFit) -> Block:
     """Return the block of an observation with columns (n, m) after the considered ones."""
     start = len(fit.model.considered)
     n_considered = start + columns.shape[1]
@@ -100,7 +100,7 @@ def make_column_function(
     active_model = Unknowns(tuple(model.unknowns[i] for i in active_indices), tuple(terms))
     full_model = Unknowns(model.unknowns, (*model.considered, *terms))
 
-    def columns_at(observation: Observation) -> Array:
+    def evaluate_columns(observation: Observation) -> Array:
         if isinstance(observation, LinearReadings):
             return observation.group.linearize(full_model, expected).fixed[
                 :, len(model.considered) :
@@ -114,7 +114,7 @@ def make_column_function(
         columns[:, list(block.considered)] = block.fixed
         return columns
 
-    return columns_at
+    return evaluate_columns
 
 
 def _residual_products(
@@ -134,9 +134,9 @@ def _residual_products(
     triangle = triangular_factor(np.vstack([*rows, prior]))
     residual_factor = triangle[p:, p:]
     solution = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
-    by_accelerometer: dict[str, Array] = {}
+    products_by_accelerometer: dict[str, Array] = {}
     for block, owner in zip(rows, owners, strict=True):
         residual = block[:, p:] - block[:, :p] @ solution
-        previous_products = by_accelerometer.get(owner, 0.0)
-        by_accelerometer[owner] = previous_products + residual.T @ residual
-    return residual_factor.T @ residual_factor, by_accelerometer
+        previous_products = products_by_accelerometer.get(owner, 0.0)
+        products_by_accelerometer[owner] = previous_products + residual.T @ residual
+    return residual_factor.T @ residual_factor, products_by_accelerometer

@@ -83,7 +83,7 @@ class ReadingPlan:
         """Return the document of the campaign with readings in this order."""
         has_times = any(reading.time > 0.0 for reading in readings)
         start_time, runs = 0.0, []
-        for name, reading in zip(_numbered_names(readings), readings, strict=True):
+        for name, reading in zip(_number_names(readings), readings, strict=True):
             run = _fill_value(reading.run, value) | {"name": name}
             if has_times:
                 # The time in the middle of the reading, from the start of the first.
@@ -106,14 +106,12 @@ class ReadingPlan:
         campaign = resolve_plan_campaign(self.campaign_document(readings, value="0"), self.path)
         if campaign.triad is None:
             return campaign
-        poses = _simulate_poses(
-            campaign, dict(zip(_numbered_names(readings), readings, strict=True))
-        )
+        poses = _simulate_poses(campaign, dict(zip(_number_names(readings), readings, strict=True)))
         triad = replace(campaign.triad, poses=(*self.existing_poses, *poses), records=())
         return replace(campaign, triad=triad)
 
 
-def _numbered_names(readings: Sequence[CandidateReading]) -> list[str]:
+def _number_names(readings: Sequence[CandidateReading]) -> list[str]:
     digits = len(str(len(readings)))
     return [f"{index:0{digits}d} {reading.name}" for index, reading in enumerate(readings, start=1)]
 
@@ -130,9 +128,9 @@ def _simulate_poses(
     if not poses:
         return ()
     upward_axes = [planned_readings[pose[0].name].up or {} for pose in poses]
-    priors_of = [campaign.accelerometers[reading.accelerometer].priors for reading in poses[0]]
+    pose_priors = [campaign.accelerometers[reading.accelerometer].priors for reading in poses[0]]
     coefficients = [
-        {symbol: prior.value for symbol, prior in priors.items()} for priors in priors_of
+        {symbol: prior.value for symbol, prior in priors.items()} for priors in pose_priors
     ]
     values = set_pose_values(make_group(campaign, poses), upward_axes, coefficients).value.tolist()
     return tuple(
@@ -175,8 +173,8 @@ def upward_directions(names: Sequence[str]) -> list[dict[str, float]]:
 
 def describe_upward_direction(up: Mapping[str, float]) -> str:
     """Return the description of an upward direction, such as "+X -Y up"."""
-    axes = (f"{'-' if sign < 0.0 else '+'}{name}" for name, sign in up.items() if sign)
-    return f"{' '.join(axes)} up"
+    axis_labels = (f"{'-' if sign < 0.0 else '+'}{name}" for name, sign in up.items() if sign)
+    return f"{' '.join(axis_labels)} up"
 
 
 def _fill_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:

@@ -51,10 +51,10 @@ class PlannedInstrument:
 
     def remaining_timing_noise(self, rate: float) -> float:
         """Return the noise of the times after correction by the angle at a rate, s."""
-        combined = math.hypot(self.timing_noise, self.encoder_noise / rate)
+        combined_noise = math.hypot(self.timing_noise, self.encoder_noise / rate)
         return (
-            self.timing_noise * self.encoder_noise / rate / combined
-            if math.isfinite(combined)
+            self.timing_noise * self.encoder_noise / rate / combined_noise
+            if math.isfinite(combined_noise)
             else self.timing_noise
         )
 
@@ -131,16 +131,16 @@ class Setup:
 #: `_MAX_RESIDUAL` is used, or with residuals near those of all harmonics, because difference
 #: quotients have rounding errors. A term with a kink has all harmonics, which decrease as n^-3; its
 #: limit is higher, because the information lacks only the square of the residual.
-_HARMONICS: Final = (3, 4, 6, 11)
+_HARMONIC_COUNTS: Final = (3, 4, 6, 11)
 _MAX_RESIDUAL: Final = 1e-6
 _MAX_KINK_RESIDUAL: Final = 5e-4
 
 #: Number of nodes in the rate: the weights are polynomials of degree 10 (a_I^4 has w^8).
-_RATE_NODES: Final = 13
+_N_RATE_NODES: Final = 13
 
-#: Owner and symbol of a term; the suffix `PER_SECOND` marks the change of its effect per second.
+#: Owner and symbol of a term; the suffix marks the change of its effect per second.
 Key = tuple[str, str]
-PER_SECOND: Final = " in a second"
+PER_SECOND_SUFFIX: Final = " in a second"
 
 #: Step of the derivative with respect to the clock.
 _CLOCK_STEP: Final = 1e-6
@@ -166,26 +166,26 @@ class TermWeights:
         self.n_harmonics = next(
             (
                 n_harmonics
-                for n_harmonics in _HARMONICS
+                for n_harmonics in _HARMONIC_COUNTS
                 if all(
                     self._is_accurate(n_harmonics, instrument, *keys_and_forces)
-                    for instrument, by_run_type in zip(setup.instruments, forces, strict=True)
-                    for keys_and_forces in by_run_type
+                    for instrument, forces_by_type in zip(setup.instruments, forces, strict=True)
+                    for keys_and_forces in forces_by_type
                 )
             ),
-            _HARMONICS[-1],
+            _HARMONIC_COUNTS[-1],
         )
         #: For each instrument and type of run: Chebyshev coefficients of the weights over the rate,
         #: by term, shape (nodes, b).
         self.terms = [
-            [self._fit_weights(instrument, *keys_and_forces) for keys_and_forces in by_run_type]
-            for instrument, by_run_type in zip(setup.instruments, forces, strict=True)
+            [self._fit_weights(instrument, *keys_and_forces) for keys_and_forces in forces_by_type]
+            for instrument, forces_by_type in zip(setup.instruments, forces, strict=True)
         ]
 
     @property
     def shape(self) -> tuple[int, int]:
         """The shape of each term's weights."""
-        return _RATE_NODES, 4 + 4 * self.n_harmonics
+        return _N_RATE_NODES, 4 + 4 * self.n_harmonics
 
     def evaluate(
         self, weights: Array, run_types: npt.NDArray[np.intp], rate: Array, order: int
@@ -193,18 +193,20 @@ class TermWeights:
         """Return the weights at rates, shape (n, b, columns), integrated over time."""
         low, high = self.rates
         position = (2.0 * rate - low - high) / (high - low)
-        vander = chebyshev.chebvander(position, _RATE_NODES - 1) / rate[:, None] ** (1 + order)
+        vander = chebyshev.chebvander(position, _N_RATE_NODES - 1) / rate[:, None] ** (1 + order)
         result = np.empty((len(rate), *weights.shape[2:]))
         for run_type in np.unique(run_types):
-            is_type = run_types == run_type
-            result[is_type] = np.tensordot(vander[is_type], weights[run_type], axes=1)
+            has_type = run_types == run_type
+            result[has_type] = np.tensordot(vander[has_type], weights[run_type], axes=1)
         return result
 
     @property
     def _nodes(self) -> Array:
         """Rates at which the weights are computed, rad/s."""
         low, high = self.rates
-        return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * chebyshev.chebpts1(_RATE_NODES))
+        return np.asarray(
+            0.5 * (low + high) + 0.5 * (high - low) * chebyshev.chebpts1(_N_RATE_NODES)
+        )
 
     def _forces_at_nodes(
         self, instrument: PlannedInstrument, attitude: str, sense: int
@@ -213,7 +215,7 @@ class TermWeights:
 
         The n angles are evenly spaced over three revolutions.
         """
-        points_per_revolution = 24 * (_HARMONICS[-1] + 1)
+        points_per_revolution = 24 * (_HARMONIC_COUNTS[-1] + 1)
         angle: Array = np.arange(3.0 * points_per_revolution) * (
             2.0 * math.pi / points_per_revolution
         )
@@ -225,7 +227,7 @@ class TermWeights:
             columns = [block.design, block.fixed]
             for owner, symbol in keys[: len(block.unknowns)]:
                 if condition_of(symbol) == "time":
-                    keys.append((owner, symbol + PER_SECOND))
+                    keys.append((owner, symbol + PER_SECOND_SUFFIX))
                     columns.append(block.series.columns([coefficient_of(symbol)], 1.0))
             forces.append(np.hstack(columns))
         return keys, np.array(forces)
@@ -238,11 +240,11 @@ class TermWeights:
         forces: Of the terms, as in `_forces`.
         """
         residual, min_residual = (
-            _fit_combination(forces, order)[1] for order in (n_harmonics, _HARMONICS[-1])
+            _fit_combination(forces, order)[1] for order in (n_harmonics, _HARMONIC_COUNTS[-1])
         )
         # Integration divides the harmonics after the first n by at least n + 1.
         kink_residual = _MAX_KINK_RESIDUAL * (n_harmonics + 1.0) ** instrument.order
-        is_kinked = [_has_kink(symbol.removesuffix(PER_SECOND)) for _, symbol in keys]
+        is_kinked = [_has_kink(symbol.removesuffix(PER_SECOND_SUFFIX)) for _, symbol in keys]
         limit = np.where(is_kinked, kink_residual, np.maximum(_MAX_RESIDUAL, 1.1 * min_residual))
         return bool(np.all(residual < limit))
 
@@ -256,10 +258,10 @@ class TermWeights:
         weights, _ = _fit_combination(forces, self.n_harmonics)
         # At a fixed angle, forces are polynomials in the rate; times the rate, so are effects that
         # grow with time.
-        integration = integration_matrix(self.n_harmonics, instrument.order)
-        values = self._nodes[:, None, None] * (integration @ weights)
-        vander = chebyshev.chebvander(chebyshev.chebpts1(_RATE_NODES), _RATE_NODES - 1)
-        coefficients = np.linalg.solve(vander, values.reshape(_RATE_NODES, -1))
+        integration_operator = integration_matrix(self.n_harmonics, instrument.order)
+        values = self._nodes[:, None, None] * (integration_operator @ weights)
+        vander = chebyshev.chebvander(chebyshev.chebpts1(_N_RATE_NODES), _N_RATE_NODES - 1)
+        coefficients = np.linalg.solve(vander, values.reshape(_N_RATE_NODES, -1))
         columns = np.moveaxis(coefficients.reshape(values.shape), 2, 0)
         return dict(zip(keys, columns, strict=True))
 
