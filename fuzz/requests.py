@@ -602,7 +602,7 @@ def application(place: Path) -> Format:
     valid = valid_requests(template)
     others = [said for _, _, said in valid.values() if isinstance(said, dict) and said]
     app_state = InlineAppState(ServedFolder(watched.folder))
-    server._preload(app_state, threading.Event())
+    server._preload_modules(app_state, threading.Event())
 
     def use(path: Path) -> None:
         requests = json.loads(path.read_bytes())

@@ -108,7 +108,7 @@ def test_server_start_removes_folders_of_killed_servers(
         make_abandoned_folder(campaign_files._UPLOAD_PREFIX, served),
     ]
     monkeypatch.setattr(server, "_private_folder", lambda: private)
-    monkeypatch.setattr(server, "_preload", lambda *_: None)
+    monkeypatch.setattr(server, "_preload_modules", lambda *_: None)
     seen = []
 
     class Stopped:

@@ -18,7 +18,7 @@ MAD_TO_SIGMA: Final = 1.4826
 QR_BLOCK_ROWS: Final = 512
 
 #: Values of 8 bytes in a cache line.
-_CACHE_LINE_VALUES: Final = 8
+_VALUES_PER_CACHE_LINE: Final = 8
 
 
 def empty_aligned(*shape: int) -> Array:
@@ -27,11 +27,13 @@ def empty_aligned(*shape: int) -> Array:
     Writing results across cache lines takes up to twice as long.
     """
     *rows, row_length = shape
-    stride = -(-row_length // _CACHE_LINE_VALUES) * _CACHE_LINE_VALUES
-    buffer: Array = np.empty(math.prod(rows) * stride + _CACHE_LINE_VALUES)
-    start = -(buffer.ctypes.data // buffer.itemsize) % _CACHE_LINE_VALUES
-    array: Array = buffer[start : len(buffer) - _CACHE_LINE_VALUES + start].reshape(*rows, stride)
-    return array[..., :row_length]
+    stride = -(-row_length // _VALUES_PER_CACHE_LINE) * _VALUES_PER_CACHE_LINE
+    buffer: Array = np.empty(math.prod(rows) * stride + _VALUES_PER_CACHE_LINE)
+    start = -(buffer.ctypes.data // buffer.itemsize) % _VALUES_PER_CACHE_LINE
+    aligned_array: Array = buffer[start : len(buffer) - _VALUES_PER_CACHE_LINE + start].reshape(
+        *rows, stride
+    )
+    return aligned_array[..., :row_length]
 
 
 def median(values: Array) -> float:
@@ -40,15 +42,15 @@ def median(values: Array) -> float:
     `np.median` takes twenty times as long for a few hundred values, and its first call loads
     `numpy.ma`.
     """
-    middle = len(values) // 2
-    if not middle:
+    middle_index = len(values) // 2
+    if not middle_index:
         return float(values[0]) if len(values) else math.nan
-    low, high, maximum = np.partition(values, (middle - 1, middle, -1))[
-        [middle - 1, middle, -1]
+    lower, upper, maximum = np.partition(values, (middle_index - 1, middle_index, -1))[
+        [middle_index - 1, middle_index, -1]
     ].tolist()
     if math.isnan(maximum):
         return float(maximum)  # NaN is sorted last
-    return float(high if len(values) % 2 else (low + high) / 2)
+    return float(upper if len(values) % 2 else (lower + upper) / 2)
 
 
 def quantile(values: npt.NDArray[Any], fraction: float) -> float:

@@ -44,9 +44,7 @@ def escape_controls(text: str) -> str:
     r"""Return a text with control characters in Python's notation, such as ``\x1b``."""
     if isinstance(text, MultilineText):
         return text
-    return _CONTROL_CHARACTER.sub(
-        lambda control: control[0].encode("unicode_escape").decode(), text
-    )
+    return _CONTROL_CHARACTER.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 def substitute_unencodable(text: str, encoding: str) -> str:

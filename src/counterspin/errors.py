@@ -40,7 +40,7 @@ _THREADS_VARIABLE: Final = "POLARS_MAX_THREADS"
 _MAX_THREADS: Final = 1024
 
 #: Number of lines shown at the beginning and at the end of a message.
-_MAX_END_LINES: Final = 20
+_N_END_LINES: Final = 20
 
 
 def install_command(extra: str) -> str:
@@ -130,9 +130,9 @@ class CounterspinError(Exception):
     def __str__(self) -> str:
         """Return the message, with the middle of long values and long lists omitted."""
         lines = super().__str__().split("\n")
-        n_omitted = len(lines) - 2 * _MAX_END_LINES
+        n_omitted = len(lines) - 2 * _N_END_LINES
         if n_omitted > 1:
-            lines[_MAX_END_LINES:-_MAX_END_LINES] = [f"  ... and {n_omitted} more"]
+            lines[_N_END_LINES:-_N_END_LINES] = [f"  ... and {n_omitted} more"]
         return "\n".join(
             _cut_middle(
                 _LONG_VALUE.sub(lambda value: _cut_middle(value[0], _MAX_VALUE_LENGTH), line),

@@ -36,8 +36,8 @@ def frozen(cls: Any = None, /, *, eq: bool = True) -> Any:
 def _make_frozen(cls: Any, comparison_methods: dict[str, Any]) -> Any:
     methods = {
         "__repr__": _repr,
-        "__setattr__": _set_once,
-        "__delattr__": _refuse_change,
+        "__setattr__": _set_attribute_once,
+        "__delattr__": _reject_change,
     } | comparison_methods
     for name, method in methods.items():
         if name not in vars(cls):
@@ -62,14 +62,14 @@ def copy_with(instance: T, changes: Mapping[str, Any]) -> T:
     return copy
 
 
-def _set_once(self: Any, name: str, value: Any) -> None:
+def _set_attribute_once(self: Any, name: str, value: Any) -> None:
     attributes = self.__dict__
     if name in attributes or name not in self.__dataclass_fields__:
-        _refuse_change(self, name)
+        _reject_change(self, name)
     attributes[name] = value
 
 
-def _refuse_change(self: Any, name: str) -> NoReturn:
+def _reject_change(self: Any, name: str) -> NoReturn:
     raise FrozenInstanceError(f"cannot change {name!r} of a {type(self).__qualname__}")
 
 

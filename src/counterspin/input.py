@@ -98,11 +98,11 @@ def read_file(path: Path, max_bytes: int = MAX_DOCUMENT_BYTES) -> bytes:
     """Return the content of a regular file; OSError as in `open_file`, or if it is too large."""
     with open_file(path) as file:
         chunks = []
-        remaining = max_bytes
-        while chunk := file.read(min(remaining + 1, 1 << 20)):
+        n_remaining_bytes = max_bytes
+        while chunk := file.read(min(n_remaining_bytes + 1, 1 << 20)):
             chunks.append(chunk)
-            remaining -= len(chunk)
-            if remaining < 0:
+            n_remaining_bytes -= len(chunk)
+            if n_remaining_bytes < 0:
                 raise OSError(errno.EFBIG, f"the file has more than {max_bytes} bytes", str(path))
     return b"".join(chunks)
 
@@ -117,7 +117,7 @@ def parse_json(text: str | bytes) -> Any:
         return json.loads(
             text,
             parse_int=_parse_integer,
-            parse_constant=_refuse_constant,
+            parse_constant=_reject_constant,
             object_pairs_hook=_build_object,
         )
     except RecursionError as error:
@@ -134,12 +134,12 @@ def _build_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a JSON object; ValueError if a key occurs twice."""
     document = dict(pairs)
     if len(document) < len(pairs):
-        duplicate = Counter(key for key, _ in pairs).most_common(1)[0][0]
-        raise ValueError(f"the key {duplicate!r} occurs twice in one object")
+        duplicate_key = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key {duplicate_key!r} occurs twice in one object")
     return document
 
 
-def _refuse_constant(constant: str) -> None:
+def _reject_constant(constant: str) -> None:
     raise ValueError(f"{constant} is not a valid number in JSON")
 
 
@@ -157,10 +157,10 @@ def require_regular_file(path: Path, mode: int) -> None:
     if stat.S_ISREG(mode):
         return
     description = next(
-        (name for has_mode, name in _SPECIAL_FILES if has_mode(mode)), "not a regular file"
+        (name for is_type, name in _SPECIAL_FILES if is_type(mode)), "not a regular file"
     )
-    code = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
-    raise OSError(code, f"this is {description}, not a file", str(path))
+    error_number = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
+    raise OSError(error_number, f"this is {description}, not a file", str(path))
 
 
 def _open_nonblocking(path: str, flags: int) -> int:

@@ -16,7 +16,7 @@ from counterspin.frozen import frozen
 from counterspin.input import open_file
 
 #: Number of bytes at either end of a file that are searched for a mark.
-_SEARCHED_BYTES: Final = 1 << 18
+_N_SEARCHED_BYTES: Final = 1 << 18
 
 #: The text of `file_mark`; its apostrophe may be escaped as in HTML.
 _FILE_MARK: Final = re.compile(rb"Made by counterspin: ((?:[a-z ']|&#39;)+)\.")
@@ -28,7 +28,7 @@ _DEVICE_NAME: Final = re.compile(
 #: Characters not allowed in file names on Windows; a colon would begin the name of a hidden stream.
 _FORBIDDEN_CHARACTER: Final = re.compile(r'[<>:"|?*\x00-\x1f]')
 #: Number of attempts to rename a file that another program has open, and delay between them, s.
-_RENAME_ATTEMPTS: Final = 10
+_N_RENAME_ATTEMPTS: Final = 10
 _RENAME_DELAY: Final = 0.1
 
 
@@ -69,14 +69,14 @@ def check_writable(
     if not target.is_file():
         return
     if file_type is not None:
-        expected = file_type()
+        expected_type = file_type()
         try:
-            is_same_type = expected.recognises(target)
+            is_same_type = expected_type.recognises(target)
         except OSError:
             is_same_type = False
         if not is_same_type:
             raise ExistingFileError(
-                f"{path} already exists and is not {expected.description}, so it was not "
+                f"{path} already exists and is not {expected_type.description}, so it was not "
                 "overwritten; choose another file"
             )
     if not overwrite:
@@ -107,8 +107,8 @@ def contains_bytes(pattern: bytes) -> Callable[[Path], bool]:
 
 def _read_ends(path: Path) -> tuple[bytes, bytes]:
     with open_file(path) as file:
-        head = file.read(_SEARCHED_BYTES)
-        file.seek(max(file.seek(0, os.SEEK_END) - _SEARCHED_BYTES, 0))
+        head = file.read(_N_SEARCHED_BYTES)
+        file.seek(max(file.seek(0, os.SEEK_END) - _N_SEARCHED_BYTES, 0))
         return head, file.read()
 
 
@@ -229,12 +229,12 @@ def move_into_place(
 
 def _retry_rename(rename: Callable[[], object]) -> None:
     """Rename a file; on Windows, retry while a virus scanner or indexer has it open."""
-    attempts = _RENAME_ATTEMPTS if sys.platform == "win32" else 1
-    for attempt in range(attempts):
+    n_attempts = _N_RENAME_ATTEMPTS if sys.platform == "win32" else 1
+    for attempt in range(n_attempts):
         try:
             rename()
         except PermissionError:
-            if attempt == attempts - 1:
+            if attempt == n_attempts - 1:
                 raise
             time.sleep(_RENAME_DELAY)
         else:
@@ -281,12 +281,12 @@ def _resolve_target(path: Path) -> Path:
     require_valid_name(path)
     try:
         target = path.resolve()
-        is_circular = target.is_symlink()
+        is_circular_link = target.is_symlink()
     except RuntimeError:  # Python before 3.13
-        is_circular = True
+        is_circular_link = True
     except OSError as error:
         raise WriteError(_describe_write_error(path, error)) from error
-    if is_circular:
+    if is_circular_link:
         raise WriteError(
             f"{path} cannot be written because the path contains a circular link; choose another "
             "file"

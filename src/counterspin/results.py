@@ -57,10 +57,10 @@ class UnknownNameError(KeyError):
         from difflib import get_close_matches  # needed only for this error
 
         name, known_names = self.args
-        lower_case_names = {key.lower(): key for key in known_names}
-        matches = get_close_matches(str(name).lower(), lower_case_names, n=1)
+        name_by_lower_case = {key.lower(): key for key in known_names}
+        matches = get_close_matches(str(name).lower(), name_by_lower_case, n=1)
         hint = (
-            f'did you mean "{lower_case_names[matches[0]]}"?'
+            f'did you mean "{name_by_lower_case[matches[0]]}"?'
             if matches
             else f"known: {', '.join(known_names)}"
         )
@@ -87,8 +87,8 @@ class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of what 
 
     def __dir__(self) -> list[str]:
         """Return the names of fields, methods and properties, without those of pydantic."""
-        base_names = set(dir(BaseModel))
-        names = [name for name in super().__dir__() if name not in base_names]
+        base_model_names = set(dir(BaseModel))
+        names = [name for name in super().__dir__() if name not in base_model_names]
         return [name for name in names if name[0] != "_" and not name.isupper()]
 
 
@@ -152,7 +152,7 @@ class ResultFile(ResultPart):
                 .to_json()
             )
         # Write each list of numbers in one line.
-        text = _NUMBER_LIST.sub(lambda numbers: re.sub(r"\s+", " ", numbers[0]), text) + "\n"
+        text = _NUMBER_LIST.sub(lambda list_match: re.sub(r"\s+", " ", list_match[0]), text) + "\n"
         # A result that was read without a seal stays without one.
         seal = f'"{_compute_seal(text)}"' if self._has_seal else "null"
         return re.sub(r'"seal": [^\n]*,', f'"seal": {seal},', text, count=1)
@@ -253,8 +253,8 @@ def _compute_seal(text: str) -> str:
     # 1.0 and 1 are the same number.
     document = json.loads(text, parse_int=float)
     document.pop("seal", None)
-    canonical = json.dumps(document, sort_keys=True, separators=(",", ":"))
-    return f"sha256:{hashlib.sha256(canonical.encode()).hexdigest()}"
+    canonical_json = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    return f"sha256:{hashlib.sha256(canonical_json.encode()).hexdigest()}"
 
 
 def _escape_surrogates(value: Any) -> Any:
@@ -286,11 +286,11 @@ def unsealed_sentences(names: Sequence[str]) -> list[str]:
     """Return the warning on results whose files have no seal; empty if there are none."""
     if not names:
         return []
-    name_list = ", ".join(names[:_MAX_LISTED_NAMES]) + (
+    names_text = ", ".join(names[:_MAX_LISTED_NAMES]) + (
         ", ..." if len(names) > _MAX_LISTED_NAMES else ""
     )
-    subject = f"The file of {name_list} has" if len(names) == 1 else f"{len(names)} files have"
-    parenthesis = "" if len(names) == 1 else f" ({name_list})"
+    subject = f"The file of {names_text} has" if len(names) == 1 else f"{len(names)} files have"
+    parenthesis = "" if len(names) == 1 else f" ({names_text})"
     return [f"{subject} no seal{parenthesis}, so later changes cannot be excluded."]
 
 

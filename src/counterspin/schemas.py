@@ -28,7 +28,7 @@ from counterspin.studies.description import StudyCampaignDocument, StudyDocument
 #: Names of the schemas.
 SchemaName = Literal["campaign", "plan", "study", "lab", "result", "noise"]
 
-_DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
+_DRAFT_URL: Final = "https://json-schema.org/draft/2020-12/schema"
 
 _MARKDOWN_LINK: Final = re.compile(r"\[([^\]]+)\]\([^)]*\)")
 _NONE_LITERAL: Final = re.compile(r"`*\bNone\b`*")
@@ -54,7 +54,7 @@ def make_schema(name: SchemaName) -> JsonSchema:
     title, build_schema = _SCHEMAS[name]
     result = RESULT_CLASSES.get(name)
     version = 1 if result is None else result.newest_schema()
-    head = {"$schema": _DRAFT, "$id": f"urn:counterspin:schema:{name}:{version}"}
+    head = {"$schema": _DRAFT_URL, "$id": f"urn:counterspin:schema:{name}:{version}"}
     schema: JsonSchema = _simplify_schema(build_schema(), allow_null=result is not None)
     return head | {"title": title} | {key: value for key, value in schema.items() if key != "title"}
 
@@ -70,13 +70,16 @@ def _document_schema(model: type[BaseModel]) -> JsonSchema:
 
 def _plan_schema() -> JsonSchema:
     """Return the schema of plans of records and plans of readings."""
-    records, readings = _document_schema(PlanDocument), _document_schema(ReadingPlanDocument)
-    definitions = records.pop("$defs") | readings.pop("$defs")
+    record_plan, reading_plan = (
+        _document_schema(PlanDocument),
+        _document_schema(ReadingPlanDocument),
+    )
+    definitions = record_plan.pop("$defs") | reading_plan.pop("$defs")
     return {
         "description": "Objective and limits of a plan.",
         "if": {"required": ["stations"]},
-        "then": readings,
-        "else": records,
+        "then": reading_plan,
+        "else": record_plan,
         "$defs": definitions,
     }
 

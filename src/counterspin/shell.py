@@ -31,7 +31,7 @@ def quote_word(word: str) -> str:
     if _UNQUOTED_WORD.fullmatch(word):
         return word
     if _EXPANDED_CHARACTER.search(word):
-        return "'" + _SINGLE_QUOTE.sub(lambda mark: 2 * mark[0], word) + "'"
+        return "'" + _SINGLE_QUOTE.sub(lambda match: 2 * match[0], word) + "'"
     return f'"{word}"'
 
 
@@ -47,11 +47,11 @@ def split_command(command: str) -> list[str]:
     """
     if sys.platform != "win32":
         return shlex.split(command)
-    reader = shlex.shlex(command, posix=True)
-    reader.whitespace_split = True
-    reader.commenters = reader.escape = ""
-    reader.quotes = '"'
-    return list(reader)
+    lexer = shlex.shlex(command, posix=True)
+    lexer.whitespace_split = True
+    lexer.commenters = lexer.escape = ""
+    lexer.quotes = '"'
+    return list(lexer)
 
 
 def find_program(program: str) -> str:

@@ -18,7 +18,7 @@ from typing import Final
 _LOCK_NAME: Final = ".lock"
 
 #: A process locks the file at once; a file of this age without a lock is abandoned, s.
-_LOCK_DELAY: Final = 60.0
+_MAX_UNLOCKED_AGE: Final = 60.0
 
 #: Suffix that `tempfile` appends to a prefix.
 _RANDOM_SUFFIX: Final = "[a-z0-9_]{8}"
@@ -52,25 +52,27 @@ def remove_abandoned_folders(prefix: str, parent: Path) -> None:
         for folder in list(parent.iterdir()):
             if re.fullmatch(re.escape(prefix) + _RANDOM_SUFFIX, folder.name):
                 with suppress(OSError):
-                    _remove_abandoned(folder)
+                    _remove_if_abandoned(folder)
 
 
-def _remove_abandoned(folder: Path) -> None:
+def _remove_if_abandoned(folder: Path) -> None:
     """Remove a folder; OSError if another process uses it."""
-    folder_status, lock = folder.lstat(), folder / _LOCK_NAME
-    lock_status = lock.lstat()
-    is_ours = sys.platform == "win32" or folder_status.st_uid == lock_status.st_uid == os.getuid()
-    is_old = time.time() > lock_status.st_mtime + _LOCK_DELAY
+    folder_status, lock_file = folder.lstat(), folder / _LOCK_NAME
+    lock_status = lock_file.lstat()
+    has_same_owner = (
+        sys.platform == "win32" or folder_status.st_uid == lock_status.st_uid == os.getuid()
+    )
+    is_old = time.time() > lock_status.st_mtime + _MAX_UNLOCKED_AGE
     if not (
-        is_ours
+        has_same_owner
         and is_old
         and stat.S_ISDIR(folder_status.st_mode)
         and stat.S_ISREG(lock_status.st_mode)
     ):
         return
-    with lock.open("rb") as file:
+    with lock_file.open("rb") as file:
         _lock_file(file.fileno())
-    lock.unlink()  # Windows refuses this while a process has the file open
+    lock_file.unlink()  # Windows refuses this while a process has the file open
     shutil.rmtree(folder, ignore_errors=True)
 
 

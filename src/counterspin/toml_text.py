@@ -75,14 +75,14 @@ def check_nesting(text: str) -> None:
         n_entries += delimiter is not None and delimiter in ".=,[{"
         problem = (
             (n_dots >= _MAX_KEY_PARTS and f"a key has more than {_MAX_KEY_PARTS} parts")
-            or (depth > _MAX_DEPTH and _TOO_DEEP)
+            or (depth > _MAX_DEPTH and _TOO_DEEP_MESSAGE)
             or (n_entries > _MAX_ENTRIES and f"there are more than {_MAX_ENTRIES} keys and values")
         )
         if problem:
             raise NestingError(problem, text.count("\n", 0, token.start()) + 1)
 
 
-_TOO_DEEP: Final = f"is nested too deeply: at most {_MAX_DEPTH} levels are allowed"
+_TOO_DEEP_MESSAGE: Final = f"is nested too deeply: at most {_MAX_DEPTH} levels are allowed"
 
 
 def _check_depth(value: Any, depth: int = 0) -> None:
@@ -90,7 +90,7 @@ def _check_depth(value: Any, depth: int = 0) -> None:
     if not isinstance(value, dict | list):
         return
     if depth > _MAX_DEPTH:
-        raise NestingError(_TOO_DEEP)
+        raise NestingError(_TOO_DEEP_MESSAGE)
     for item in value.values() if isinstance(value, dict) else value:
         _check_depth(item, depth + 1)
 

@@ -127,7 +127,7 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
 _MAX_UNIT_LENGTH: Final = 500
 
 # A name with an optional power, the 1 of "1/s", or an operator. Nothing else is evaluated.
-_FACTOR = re.compile(
+_UNIT_FACTOR_PATTERN = re.compile(
     r"\s*(?:([A-Za-z]+)(?:\^([+-]?\d{1,2}(?:\.\d{1,3})?))?|(?<![A-Za-z0-9])(1)(?=\s*(?:/|$))|([*/()]))\s*"
 )
 
@@ -144,9 +144,9 @@ def unit_factor(unit: str, target_unit: str, *, gravity: float | None = None) ->
     expression = _to_ascii(unit)
     names = _unit_names(expression, quantity, accepted_units)
     if not names <= set(UNITS):
-        unknown_names = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
+        unknown_names_text = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
         raise InputError(
-            f"unknown unit {unknown_names}; {quantity} is required ({accepted_units})",
+            f"unknown unit {unknown_names_text}; {quantity} is required ({accepted_units})",
             "unknown-unit",
         )
     if names & {"Hz", "kHz"} and "Hz" not in target_unit:
@@ -162,21 +162,25 @@ def unit_factor(unit: str, target_unit: str, *, gravity: float | None = None) ->
     factor, dimension = _evaluate_unit(expression)
     target_factor, target_dimension = _evaluate_unit(target_unit)
     factor /= target_factor
-    excess = {
+    excess_dimension = {
         dimension_name: dimension[dimension_name] - target_dimension[dimension_name]
         for dimension_name in BASE_DIMENSIONS
     }
     # The excess may be a power of (m/s^2)/g, which the site's gravity resolves.
-    power = excess["[length]"]
-    gravity_excess = dict.fromkeys(BASE_DIMENSIONS, 0.0)
-    gravity_excess |= {"[length]": power, "[time]": -2.0 * power, "[gravity]": -power}
-    if excess != gravity_excess or (power != 0.0 and gravity is None):
+    length_power = excess_dimension["[length]"]
+    gravity_dimension = dict.fromkeys(BASE_DIMENSIONS, 0.0)
+    gravity_dimension |= {
+        "[length]": length_power,
+        "[time]": -2.0 * length_power,
+        "[gravity]": -length_power,
+    }
+    if excess_dimension != gravity_dimension or (length_power != 0.0 and gravity is None):
         raise InputError(
             f"{unit!r} is not a unit of {quantity.split(' ', 1)[1]}; use {accepted_units}",
             "wrong-unit",
         )
-    if power != 0.0 and gravity is not None:
-        factor *= gravity**-power
+    if length_power != 0.0 and gravity is not None:
+        factor *= gravity**-length_power
     return factor
 
 
@@ -238,7 +242,7 @@ def _unit_names(expression: str, quantity: str, accepted_units: str) -> set[str]
         )
     names, position = set(), 0
     while position < len(expression):
-        match = _FACTOR.match(expression, position)
+        match = _UNIT_FACTOR_PATTERN.match(expression, position)
         if match is None:
             raise InputError(
                 f"{expression!r} is not a unit; {quantity} is required ({accepted_units})",
@@ -259,7 +263,7 @@ def _evaluate_unit(expression: str) -> tuple[float, Mapping[str, float]]:
     factor, dimension = 1.0, dict.fromkeys(BASE_DIMENSIONS, 0.0)
     bracket_signs = [1.0]  # of open brackets: -1 in a denominator
     sign, needs_factor = 1.0, bool(expression.strip())
-    for name, power, _, symbol in _FACTOR.findall(expression):
+    for name, power, _, symbol in _UNIT_FACTOR_PATTERN.findall(expression):
         if symbol == "(":
             bracket_signs.append(bracket_signs[-1] * sign)
         elif (symbol and needs_factor) or (symbol == ")" and len(bracket_signs) == 1):
@@ -268,8 +272,8 @@ def _evaluate_unit(expression: str) -> tuple[float, Mapping[str, float]]:
             bracket_signs.pop()
         elif name:
             exponent = bracket_signs[-1] * sign * float(power or 1.0)
-            unit_size, unit_dimension = _look_up_unit(name)
-            factor *= _raise_to_power(unit_size, exponent)
+            named_factor, unit_dimension = _look_up_unit(name)
+            factor *= _raise_to_power(named_factor, exponent)
             for base_dimension, base_power in unit_dimension.items():
                 dimension[base_dimension] += base_power * exponent
         sign, needs_factor = -1.0 if symbol == "/" else 1.0, symbol in ("(", "*", "/")

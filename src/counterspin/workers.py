@@ -59,12 +59,12 @@ def _worker_environment() -> Iterator[None]:
         previous_values = {name: os.environ.get(name) for name in _INHERITED_ENVIRONMENT}
         os.environ.update(_INHERITED_ENVIRONMENT)
         is_main_thread = threading.current_thread() is threading.main_thread()
-        handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main_thread else None
+        previous_handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main_thread else None
         try:
             yield
         finally:
             if is_main_thread:
-                signal.signal(signal.SIGINT, handler)
+                signal.signal(signal.SIGINT, previous_handler)
             for name, value in previous_values.items():
                 if value is None:
                     os.environ.pop(name, None)
@@ -119,12 +119,12 @@ class Workers:
         max_processes = _PROCESSES_PER_CORE * available_cores()
         if self.cluster is not None or self.processes <= max_processes:
             return self
-        message = (
+        warning_text = (
             f"`workers`: {self.processes} were requested, but counterspin starts only "
             f"{max_processes}, because more would not help with the {available_cores()} processor "
             "cores available"
         )
-        warnings.warn(CounterspinWarning(message, code="too-many-workers"), stacklevel=3)
+        warnings.warn(CounterspinWarning(warning_text, code="too-many-workers"), stacklevel=3)
         return replace(self, processes=max_processes)
 
 
@@ -151,8 +151,8 @@ class WorkerPool:
     @property
     def size(self) -> int:
         """How many workers there are, or were a moment ago; at least 1."""
-        counted_at, n_workers = self._last_count
-        if time.monotonic() - counted_at > _COUNT_INTERVAL:
+        count_time, n_workers = self._last_count
+        if time.monotonic() - count_time > _COUNT_INTERVAL:
             n_workers = max(1, self.count_workers())
             self._last_count = (time.monotonic(), n_workers)
         return n_workers

@@ -10,10 +10,10 @@ from counterspin.application.campaign_files import (
     add_records,
     copy_campaign,
     discard_uploads,
+    list_trash,
     move_to_trash,
     rename_campaign,
     restore_campaign,
-    trash_contents,
 )
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CounterspinError
@@ -58,7 +58,7 @@ def test_restore_does_not_overwrite_campaign(app, folder):
             copy_campaign(app, "lab/first", "three")
         assert restore_campaign(app, place) == {"name": restored, "files": []}
         assert file_names(folder / restored) == before
-    assert trash_contents(app) == []
+    assert list_trash(app) == []
 
 
 def test_discarded_uploads_can_be_restored(app, folder):
@@ -105,7 +105,7 @@ def test_symlinked_trash_is_treated_as_empty(app, folder, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside")
     (outside / "20260101T000000000000-theirs").mkdir()
     (folder / TRASH_FOLDER).symlink_to(outside)
-    assert trash_contents(app) == []
+    assert list_trash(app) == []
     with pytest.raises(CounterspinError, match="is not in the trash"):
         restore_campaign(app, "20260101T000000000000-theirs")
     assert file_names(outside) == ["20260101T000000000000-theirs"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.application.record_plots import MAX_WINDOW_SEGMENTS, segment_extremes
+from counterspin.application.record_plots import MAX_WINDOW_SEGMENTS, segment_extrema
 
 RUN = {"name": "three", "run": "fast"}
 
@@ -13,7 +13,7 @@ def test_chunk_extremes_match_loop():
     values[[3, 500]] = np.nan
     values[600:700] = np.nan
     edges = np.linspace(7, 991, 38).astype(int)
-    extremes = segment_extremes(values, edges)
+    extremes = segment_extrema(values, edges)
     for (low, high), begin, end in zip(extremes, edges[:-1], edges[1:], strict=True):
         part = values[begin:end][~np.isnan(values[begin:end])]
         if len(part):

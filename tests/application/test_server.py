@@ -77,7 +77,7 @@ def test_shutdown_waits_for_imports_in_progress(tmp_path, monkeypatch):
         time.sleep(0.2)
         done.append(app)
 
-    monkeypatch.setattr(server, "_preload", load)
+    monkeypatch.setattr(server, "_preload_modules", load)
     monkeypatch.setattr(server, "make_server", lambda *_: SimpleNamespace(run=lambda **_: None))
     server.serve(tmp_path, browser=False, print_line=done.append)
     *_, loaded, last = done
@@ -95,7 +95,7 @@ def test_browser_command_line_has_no_token(tmp_path, monkeypatch):
         opened.set()
 
     monkeypatch.setattr("webbrowser.open", browse)
-    monkeypatch.setattr(server, "_preload", lambda *_: None)
+    monkeypatch.setattr(server, "_preload_modules", lambda *_: None)
     waiting = SimpleNamespace(run=lambda **_: opened.wait(BOUND))
     monkeypatch.setattr(server, "make_server", lambda *_: waiting)
     server.serve(tmp_path, print_line=printed_lines.append)
@@ -118,7 +118,7 @@ def test_windows_private_files_are_in_user_folder(tmp_path, monkeypatch):
         return "file:///nowhere"
 
     monkeypatch.setattr(server, "_write_redirect", write_redirect)
-    monkeypatch.setattr(server, "_preload", lambda *_: None)
+    monkeypatch.setattr(server, "_preload_modules", lambda *_: None)
     monkeypatch.setattr(server, "make_server", lambda *_: SimpleNamespace(run=lambda **_: None))
     monkeypatch.setattr(server, "open_listener", lambda _: socket.socket())
     monkeypatch.setenv("LOCALAPPDATA", str(mine))

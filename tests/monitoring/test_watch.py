@@ -9,7 +9,7 @@ import pytest
 import counterspin as cs
 from counterspin.cli import main
 from counterspin.errors import CampaignError
-from counterspin.monitoring.observer import GROWING_SUFFIXES
+from counterspin.monitoring.observer import GROWABLE_SUFFIXES
 
 FAST = cs.Pace(interval=1e-3, share=1.0)
 
@@ -166,4 +166,4 @@ def test_interrupt_exits_with_130(folder, capsys, monkeypatch):
 def test_documentation_lists_growing_formats():
     page = (Path(__file__).parents[2] / "docs" / "monitoring.md").read_text(encoding="utf-8")
     appended = page.partition("**Text files** (")[2].partition(")")[0]
-    assert tuple(re.findall(r"`(\.\w+)`", appended)) == GROWING_SUFFIXES
+    assert tuple(re.findall(r"`(\.\w+)`", appended)) == GROWABLE_SUFFIXES

@@ -121,9 +121,9 @@ class Credentials:
     def is_authorized(self, headers: Headers) -> bool:
         """Return whether a request carries the key."""
         authorizations = headers.getlist("authorization")
-        expected = f"Bearer {self._key}"
+        expected_authorization = f"Bearer {self._key}"
         return len(authorizations) == 1 and secrets.compare_digest(
-            authorizations[0].encode(), expected.encode()
+            authorizations[0].encode(), expected_authorization.encode()
         )
 
 
@@ -146,8 +146,8 @@ class Tickets(Generic[T]):
     def redeem(self, ticket: str) -> T | None:
         """Return the request of a ticket; None if the ticket is not valid."""
         with self._lock:
-            issued, target = self._targets.pop(ticket, (-_TICKET_LIFETIME, None))
-        return target if time.monotonic() - issued < _TICKET_LIFETIME else None
+            issue_time, target = self._targets.pop(ticket, (-_TICKET_LIFETIME, None))
+        return target if time.monotonic() - issue_time < _TICKET_LIFETIME else None
 
 
 class AccessControl:
@@ -166,7 +166,7 @@ class AccessControl:
         if scope["type"] != "http":
             return
 
-        async def send_guarded(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 for name, value in _SECURITY_HEADERS.items():
@@ -174,7 +174,9 @@ class AccessControl:
             await send(message)
 
         is_authorized = self._credentials.is_authorized(Headers(scope=scope))
-        max_bytes = _request_limit(scope["path"]) if is_authorized else UNAUTHENTICATED_MAX_BYTES
+        max_bytes = (
+            _max_request_bytes(scope["path"]) if is_authorized else UNAUTHENTICATED_MAX_BYTES
+        )
         first_refusal = next(
             self._refusals(scope, is_authorized=is_authorized, max_bytes=max_bytes), None
         )
@@ -182,10 +184,12 @@ class AccessControl:
             status, reason = first_refusal
             # Without the key, the body of the request is not read.
             headers = None if is_authorized else {"Connection": "close"}
-            await JSONResponse({"error": reason}, status, headers)(scope, receive, send_guarded)
+            await JSONResponse({"error": reason}, status, headers)(
+                scope, receive, send_with_headers
+            )
             return
         timeout = math.inf if is_authorized else UNAUTHENTICATED_TIMEOUT
-        await self._call_limited(scope, receive, send_guarded, max_bytes, timeout)
+        await self._call_limited(scope, receive, send_with_headers, max_bytes, timeout)
 
     def _refusals(
         self, scope: Scope, *, is_authorized: bool, max_bytes: int
@@ -214,13 +218,17 @@ class AccessControl:
         self, scope: Scope, receive: Receive, send: Send, max_bytes: int, timeout: float
     ) -> None:
         """Pass a request on; abort it if its body exceeds the limit of size or time."""
-        n_bytes = 0
+        n_bytes_received = 0
         has_response_begun = holds_slot = is_complete = False
         deadline = asyncio.get_running_loop().time() + timeout
 
         async def receive_limited() -> Message:
-            nonlocal n_bytes, holds_slot, is_complete
-            if n_bytes > _MIN_LARGE_FORM_BYTES and max_bytes <= FORM_MAX_BYTES and not holds_slot:
+            nonlocal n_bytes_received, holds_slot, is_complete
+            if (
+                n_bytes_received > _MIN_LARGE_FORM_BYTES
+                and max_bytes <= FORM_MAX_BYTES
+                and not holds_slot
+            ):
                 # Many large forms at once would use too much memory.
                 holds_slot = await self._large_forms.acquire()
             try:
@@ -229,8 +237,8 @@ class AccessControl:
             except TimeoutError as error:
                 raise _RequestTimeoutError from error
             is_complete = not message.get("more_body", False)
-            n_bytes += len(message.get("body", b""))
-            if n_bytes > max_bytes:
+            n_bytes_received += len(message.get("body", b""))
+            if n_bytes_received > max_bytes:
                 raise _RequestTooLargeError
             return message
 
@@ -269,7 +277,7 @@ class _RequestTimeoutError(Exception):
     """The error for a request whose body does not arrive in time."""
 
 
-def _request_limit(path: str) -> int:
+def _max_request_bytes(path: str) -> int:
     return FILE_MAX_BYTES if path == FILES_PATH else FORM_MAX_BYTES
 
 

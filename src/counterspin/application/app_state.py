@@ -22,21 +22,21 @@ from counterspin.input import FileIdentity
 T = TypeVar("T")
 
 #: Default number of entries of a cache.
-_MAX_CACHE_ENTRIES: Final = 300
+_MAX_CACHED_VALUES: Final = 300
 
 
 class FileCache:
     """A cache of values computed from files; an entry expires when one of its files changes."""
 
-    def __init__(self, max_entries: int = _MAX_CACHE_ENTRIES) -> None:
-        self._max_entries = max_entries
+    def __init__(self, max_values: int = _MAX_CACHED_VALUES) -> None:
+        self._max_entries = max_values
         self._entries: OrderedDict[Any, tuple[Any, Any]] = OrderedDict()
         self._lock = threading.Lock()
 
     def get(self, key: Any, files: Sequence[Path], compute: Callable[[], T]) -> T:
         """Return the cached value of `compute`, or its new value if a file has changed."""
-        cached, store = self.lookup(key, files)
-        return store(compute()) if cached is None else cached
+        cached_value, store_value = self.lookup(key, files)
+        return store_value(compute()) if cached_value is None else cached_value
 
     def lookup(self, key: Any, files: Sequence[Path]) -> tuple[Any, Callable[[T], T]]:
         """Return the cached value or None, and a function that stores a new one."""

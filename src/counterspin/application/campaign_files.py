@@ -105,10 +105,10 @@ def copy_campaign(app: AppState, name: str, to: str) -> NameAnswer:
     source, target = _campaign_folder(app, name), _check_new_folder(app, name, to)
     try:
         with temporary_folder(COPY_PREFIX, target.parent) as temporary_parent:
-            copied = shutil.copytree(
+            copied_folder = shutil.copytree(
                 source, temporary_parent / target.name, ignore=shutil.ignore_patterns(".*")
             )
-            copied.rename(target)
+            copied_folder.rename(target)
     except OSError as error:
         raise WriteError(f"{to} cannot be written ({error.strerror or error})") from error
     return {"name": app.folder.name(target)}
@@ -117,7 +117,7 @@ def copy_campaign(app: AppState, name: str, to: str) -> NameAnswer:
 def rename_campaign(app: AppState, name: str, to: str) -> NameAnswer:
     """Rename a campaign's folder; return the new name."""
     source, target = _idle_campaign_folder(app, name), _check_new_folder(app, name, to)
-    _move(source, target)
+    _move_folder(source, target)
     return {"name": app.folder.name(target)}
 
 
@@ -126,7 +126,7 @@ def move_to_trash(app: AppState, name: str) -> TrashPlace:
     source = _idle_campaign_folder(app, name)
     target = _trash_path(app, source)
     make_folder(target.parent)
-    _move(source, target)
+    _move_folder(source, target)
     return {"place": target.name}
 
 
@@ -147,7 +147,7 @@ def discard_uploads(app: AppState, folder: str, names: list[str]) -> TrashPlace:
     target = _trash_path(app, source)
     make_folder(target)
     for file in files:
-        _move(file, target / file.name)
+        _move_folder(file, target / file.name)
     with suppress(OSError):  # a folder with further files remains
         source.rmdir()
     return {"place": target.name}
@@ -159,11 +159,13 @@ def _trash_path(app: AppState, source: Path) -> Path:
     return app.folder.root / TRASH_FOLDER / f"{timestamp}-{quote(app.folder.name(source), safe='')}"
 
 
-def trash_contents(app: AppState) -> list[TrashEntry]:
+def list_trash(app: AppState) -> list[TrashEntry]:
     """Return name in the trash and former name of each campaign, the latest first."""
-    trash = app.folder.root / TRASH_FOLDER
-    is_inside = trash.is_dir() and app.folder.contains(trash)  # not a link to another folder
-    paths = sorted(trash.iterdir(), reverse=True) if is_inside else []
+    trash_folder = app.folder.root / TRASH_FOLDER
+    is_own_folder = trash_folder.is_dir() and app.folder.contains(
+        trash_folder
+    )  # not a link to another folder
+    paths = sorted(trash_folder.iterdir(), reverse=True) if is_own_folder else []
     return [
         {"place": path.name, "name": unquote(match["name"])}
         for path in paths
@@ -178,12 +180,12 @@ def restore_campaign(app: AppState, place: str) -> RestoredFolder:
 
     Returns the folder's name, and the names of the files of an unfinished import.
     """
-    former_name = {entry["place"]: entry["name"] for entry in trash_contents(app)}.get(place)
-    if former_name is None:
+    original_name = {entry["place"]: entry["name"] for entry in list_trash(app)}.get(place)
+    if original_name is None:
         raise NotFoundError(f"{place} is not in the trash")
-    target = app.folder.path(find_free_name(app, former_name))
+    target = app.folder.path(find_free_name(app, original_name))
     make_folder(target.parent)
-    _move(app.folder.root / TRASH_FOLDER / place, target)
+    _move_folder(app.folder.root / TRASH_FOLDER / place, target)
     is_campaign = (target / DESCRIPTION_NAME).exists()
     files = [] if is_campaign else sorted(path for path in target.iterdir() if path.is_file())
     return {"name": app.folder.name(target), "files": [app.folder.name(file) for file in files]}
@@ -276,7 +278,7 @@ def _check_new_folder(app: AppState, name: str, to: str) -> Path:
     return target
 
 
-def _move(source: Path, target: Path) -> None:
+def _move_folder(source: Path, target: Path) -> None:
     try:
         source.rename(target)
     except OSError as error:

@@ -22,7 +22,7 @@ from counterspin.application.answers import (
     WrittenCampaign,
 )
 from counterspin.application.app_state import AppState
-from counterspin.application.campaign_files import COPY_PREFIX, find_free_name, trash_contents
+from counterspin.application.campaign_files import COPY_PREFIX, find_free_name, list_trash
 from counterspin.application.checklist import make_checklist
 from counterspin.application.commands import calibrate_command, demo_command, init_command
 from counterspin.application.jobs import Job, ProgressCallback, report_progress, run_calibration
@@ -81,7 +81,7 @@ def folder_overview(app: AppState) -> FolderOverview:
         "results": other_results,
         "plans": plans,
         "labs": labs,
-        "trash": trash_contents(app),
+        "trash": list_trash(app),
         "terms": [{"name": name, "words": row.words} for name, row in TERMS.items()],
     }
 
@@ -93,7 +93,7 @@ def _detect_document_type(app: AppState, path: Path) -> tuple[str, str]:
     if not app.folder.contains(path):
         return "", ""
 
-    def read_document_type() -> tuple[str, str]:
+    def detect_type() -> tuple[str, str]:
         try:
             document = load_document(path)
         except CounterspinError:
@@ -102,7 +102,7 @@ def _detect_document_type(app: AppState, path: Path) -> tuple[str, str]:
             return "plan", str(table_of(document, "campaign").get("title", ""))
         return "lab" if {"certificate", "laboratory"} <= document.keys() else "", ""
 
-    return app.cache.get(("kind", path), [path], read_document_type)
+    return app.cache.get(("kind", path), [path], detect_type)
 
 
 def _iter_results(app: AppState, folder: Path, files: list[str]) -> Iterator[ResultEntry]:
@@ -221,16 +221,18 @@ def campaign_overview(app: AppState, name: str) -> CampaignOverview:
     files = sorted(file.name for file in path.parent.iterdir() if file.is_file())
     entry = _campaign_entry(app, name, list(_iter_results(app, path.parent, files)))
     description_text = app.folder.read(app.folder.name(path))
-    output = path.parent / _RESULT_NAME
-    study = path.parent / STUDY_NAME
+    result_path = path.parent / _RESULT_NAME
+    study_path = path.parent / STUDY_NAME
     return {
         **entry,
-        "study": app.folder.name(study) if app.folder.contains(study) and study.is_file() else None,
+        "study": app.folder.name(study_path)
+        if app.folder.contains(study_path) and study_path.is_file()
+        else None,
         "text": description_text.text,
         "version": description_text.version,
         "run_list": _run_entries(app, name, path),
         "checklist": [] if entry["mistakes"] else make_checklist(app.campaign(name)),
-        "command": calibrate_command(path.parent, output, "joint", None),
+        "command": calibrate_command(path.parent, result_path, "joint", None),
         "jobs": [job.to_dict() for job in app.jobs.all() if job.campaign == name],
     }
 
@@ -320,12 +322,12 @@ def run_sample(connection: Connection, folder: Path) -> None:
         from counterspin.simulation.simulate import simulate
 
         # A sample that fails or is stopped leaves no folder.
-        with temporary_folder(COPY_PREFIX, folder.parent) as temporary:
-            sample = temporary / folder.name
-            write_description(sample)
-            simulate(sample, sample)
-            calibrate(sample, progress=progress).write(sample / _RESULT_NAME)
-            sample.rename(folder)
+        with temporary_folder(COPY_PREFIX, folder.parent) as temporary_parent:
+            sample_folder = temporary_parent / folder.name
+            write_description(sample_folder)
+            simulate(sample_folder, sample_folder)
+            calibrate(sample_folder, progress=progress).write(sample_folder / _RESULT_NAME)
+            sample_folder.rename(folder)
 
     report_progress(connection, simulate_and_calibrate)
 

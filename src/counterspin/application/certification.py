@@ -108,12 +108,12 @@ def begin_certificate(
     amends: The certificate to be replaced; None: a new certificate.
     """
     files = app.file(result), app.file(lab)
-    target = app.folder.path(output)
+    output_path = app.folder.path(output)
     if both:
-        check_output_paths(target)
-        app.folder.path(app.folder.name(paired_path(target)))
+        check_output_paths(output_path)
+        app.folder.path(app.folder.name(paired_path(output_path)))
     else:
-        check_output_path(target)
+        check_output_path(output_path)
     # This also checks the path of the ledger.
     app.require_inside(files[1].parent, load_document(files[1]))
     amendment = None if amends is None else Amendment(app.file(amends.file), amends.reason)
@@ -125,28 +125,30 @@ def begin_certificate(
         return signers[0]
 
     with app.drawing:
-        certificate_issued = certificate(
+        issued_certificate = certificate(
             *files, signer=None if signing is None else read_signing, amends=amendment
         )
-        outputs = (
-            certificate_issued.write_both(target) if both else [certificate_issued.write(target)]
+        output_paths = (
+            issued_certificate.write_both(output_path)
+            if both
+            else [issued_certificate.write(output_path)]
         )
-        pages = certificate_issued.page_images()
+        pages = issued_certificate.page_images()
     options = _signing_options(app, signing)
     if amendment is not None:
         options |= {"amends": str(amendment.path), "reason": amendment.reason}
     return {
-        "identifier": certificate_issued.identifier,
-        "draft": certificate_issued.draft,
-        "accelerometers": certificate_issued.accelerometers,
-        "signed_by": certificate_issued.signed_by,
-        "notes": certificate_issued.notes,
-        "files": [app.folder.name(target) for target in outputs],
-        "checksums": [sha256_hex(read_file(target)) for target in outputs],
+        "identifier": issued_certificate.identifier,
+        "draft": issued_certificate.draft,
+        "accelerometers": issued_certificate.accelerometers,
+        "signed_by": issued_certificate.signed_by,
+        "notes": issued_certificate.notes,
+        "files": [app.folder.name(target) for target in output_paths],
+        "checksums": [sha256_hex(read_file(target)) for target in output_paths],
         "pages": pages,
         "signer": signers[0].name if signers else "",
         "signer_certificate": signers[0].certificate_pem if signers else None,
-        "command": certificate_command(*files, target, both, options),
+        "command": certificate_command(*files, output_path, both, options),
     }
 
 

@@ -19,10 +19,12 @@ def _iterate_entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
         yield _prior_entry(campaign, key, symbol)
     if campaign.runs:
         is_noise_stated = campaign.noise is not None
-        effect = "stated (Type B)" if is_noise_stated else "estimated from the residuals (Type A)"
-        yield {"words": "Noise", "stated": is_noise_stated, "effect": effect, "key": "noise"}
+        noise_effect = (
+            "stated (Type B)" if is_noise_stated else "estimated from the residuals (Type A)"
+        )
+        yield {"words": "Noise", "stated": is_noise_stated, "effect": noise_effect, "key": "noise"}
     names_without_serial = [n for n, a in campaign.accelerometers.items() if not a.serial_number]
-    effect = (
+    noise_effect = (
         f"not stated for {', '.join(names_without_serial)}; the history and the certificate "
         "require this value"
     )
@@ -30,12 +32,12 @@ def _iterate_entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
     yield {
         "words": "Serial number",
         "stated": not names_without_serial,
-        "effect": effect if names_without_serial else "stated",
+        "effect": noise_effect if names_without_serial else "stated",
         "key": f"accelerometers.{first_name}.serial_number",
     }
     has_date = "date" in campaign.details
-    effect = "stated" if has_date else "not stated; the history requires this value"
-    yield {"words": "Date", "stated": has_date, "effect": effect, "key": "campaign.date"}
+    noise_effect = "stated" if has_date else "not stated; the history requires this value"
+    yield {"words": "Date", "stated": has_date, "effect": noise_effect, "key": "campaign.date"}
 
 
 def _prior_entry(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:

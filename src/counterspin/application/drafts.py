@@ -39,12 +39,12 @@ from counterspin.ingest.starter import Test
 from counterspin.ingest.tumble import TumbleDraft
 from counterspin.units import is_convertible
 
-_CONTENTS_CACHE: Final = FileCache(2)
+_FILE_CACHE: Final = FileCache(2)
 #: Number of rows, and number of segments of a curve, in the preview of a column.
-_PREVIEW_ROWS: Final = 4
-_PREVIEW_SEGMENTS: Final = 160
+_N_PREVIEW_ROWS: Final = 4
+_N_PREVIEW_SEGMENTS: Final = 160
 #: Number of revolutions in the preview of a signal.
-_CURVE_REVOLUTIONS: Final = 4.0
+_N_CURVE_REVOLUTIONS: Final = 4.0
 #: Relative tolerance of time steps, to allow for rounding of the times.
 _STEP_RELATIVE_TOLERANCE: Final = 1e-6
 #: Number of cells of a text column in a message, and number of characters of each.
@@ -72,7 +72,7 @@ def _make_draft(
     files = [app.file(name) for name in names]
     given_answers = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
     cache_key = (given_answers.get("sheet", ""), given_answers.get("select", ""))
-    contents = _CONTENTS_CACHE.get(
+    contents = _FILE_CACHE.get(
         (*cache_key, *files), files, lambda: read_files(files, given_answers)
     )
     statements = describe_files(contents)
@@ -80,12 +80,12 @@ def _make_draft(
     if make_sensor_question(contents) is not None:
         return UndecidedDraft.from_contents(contents), None, statements
     given_answers.pop("select", None)
-    test = requested_test or next(
+    selected_test = requested_test or next(
         (test for test in TEST_LABELS if test == test_answer), guess_test(contents)
     )
-    if test is None:
+    if selected_test is None:
         return UndecidedDraft.from_contents(contents), None, statements
-    return make_test_draft(contents, given_answers, test), test, statements
+    return make_test_draft(contents, given_answers, selected_test), selected_test, statements
 
 
 def draft_overview(
@@ -95,7 +95,7 @@ def draft_overview(
     test: Test | None = None,
 ) -> DraftOverview:
     """Return the detected contents of files, questions and mistakes."""
-    draft, detected_test, statements = _make_draft(app, names, answers, test)
+    draft, selected_test, statements = _make_draft(app, names, answers, test)
     file_guess = draft.common_guess if isinstance(draft, Draft) else None
     questions: list[QuestionEntry] = [
         {
@@ -109,46 +109,46 @@ def draft_overview(
         for question in draft.questions
     ]
     return {
-        "test": detected_test,
+        "test": selected_test,
         "statements": [*statements, *draft.statements],
         "questions": questions,
         "problems": list(draft.problems),
         "file": draft.contents.path.name,
         "runs": len(draft.guesses) if isinstance(draft, Draft) else None,
         "columns": [
-            *(_text_column(draft.contents, name) for name in draft.contents.text_columns),
-            *(_number_column(column, file_guess) for column in draft.contents.columns),
+            *(_describe_text_column(draft.contents, name) for name in draft.contents.text_columns),
+            *(_describe_number_column(column, file_guess) for column in draft.contents.columns),
         ],
         "directions": draft.directions if isinstance(draft, TumbleDraft) else [],
         "remembered": find_newest_site(app),
     }
 
 
-def _text_column(contents: FileContents, name: str) -> ColumnEntry:
+def _describe_text_column(contents: FileContents, name: str) -> ColumnEntry:
     """Return the first cells of a text column, and the reason why it is unused."""
     cells = contents.text_cells.get(name) or contents.first_text_cells.get(name, ())
     distinct_cells = list(dict.fromkeys(cell[:_MAX_CELL_LENGTH] for cell in cells if cell))
     reason = "The column is empty in every row."
     if distinct_cells:
         ellipsis = " ..." if len(distinct_cells) > _MAX_CELLS else ""
-        cell_list = ", ".join(distinct_cells[:_MAX_CELLS]) + ellipsis
-        reason = f"The column contains text, not numbers: {cell_list}"
+        cells_text = ", ".join(distinct_cells[:_MAX_CELLS]) + ellipsis
+        reason = f"The column contains text, not numbers: {cells_text}"
     unreadable_reason = next(
         (text for text in contents.unread_reasons if f"'{name}'" in text), None
     )
     return {
         "name": name,
-        "first": list(cells[:_PREVIEW_ROWS]),
+        "first": list(cells[:_N_PREVIEW_ROWS]),
         "curve": None,
         "reason": reason if unreadable_reason is None else unreadable_reason,
     }
 
 
-def _number_column(column: FileColumn, guess: FileGuess | None) -> ColumnEntry:
+def _describe_number_column(column: FileColumn, guess: FileGuess | None) -> ColumnEntry:
     """Return the first values of a column, its detrended curve, and why it may be unused."""
     return {
         "name": column.name,
-        "first": ["" if np.isnan(v) else f"{v:.9g}" for v in column.values[:_PREVIEW_ROWS]],
+        "first": ["" if np.isnan(v) else f"{v:.9g}" for v in column.values[:_N_PREVIEW_ROWS]],
         "curve": make_detrended_curve(column, guess),
         "reason": _unused_reason(column, guess),
     }
@@ -163,7 +163,9 @@ def _unused_reason(column: FileColumn, guess: FileGuess | None) -> str:
         return f"The value is {values[0]:.6g} in every row."
     if is_row_counter(column):
         return "The column contains row numbers."
-    if column.unit and not any(is_convertible(column.unit, si) for si in OBSERVABLES.values()):
+    if column.unit and not any(
+        is_convertible(column.unit, si_unit) for si_unit in OBSERVABLES.values()
+    ):
         return f"The unit {column.unit} does not match a known signal."
     if guess is not None:
         return (
@@ -178,49 +180,51 @@ def make_detrended_curve(column: FileColumn, file_guess: FileGuess | None) -> Cu
 
     file_guess: Roles of the columns of a record; None for a table of readings.
     """
-    values, description, unit = column.values, "all rows", column.unit
+    values, rows_text, unit = column.values, "all rows", column.unit
     if file_guess is not None:
         signal = next((s for s in file_guess.signals if s.column == column.name), None)
         if file_guess.time is not None and file_guess.time.column == column.name:
-            values, description = _smooth_steps(values), "row-to-row step"
+            values, rows_text = _smooth_steps(values), "row-to-row step"
             unit = "s" if file_guess.time.unit == "iso" else file_guess.time.unit or ""
         elif file_guess.angle is not None and file_guess.angle.column == column.name:
             if file_guess.angle.pulses:
-                values, description = _smooth_steps(values), "pulse-to-pulse step"
+                values, rows_text = _smooth_steps(values), "pulse-to-pulse step"
             else:
-                values, description = _detrend(_unwrap_angle(values), 1), "straight line removed"
+                values, rows_text = _detrend(_unwrap_angle(values), 1), "straight line removed"
             unit = file_guess.angle.unit or ""
         elif file_guess.temperature is not None and file_guess.temperature[0] == column.name:
             unit = file_guess.temperature[1]
         elif signal is not None:
             degree = {"displacement": 2, "velocity": 1}.get(signal.observable or "", 0)
             n_rows = _count_preview_rows(column, file_guess)
-            trend = ("mean", "straight line", "parabola")[degree]
-            row_remark = (
-                "" if n_rows >= len(values) else f", first {_CURVE_REVOLUTIONS:g} revolutions"
+            trend_name = ("mean", "straight line", "parabola")[degree]
+            rows_remark = (
+                "" if n_rows >= len(values) else f", first {_N_CURVE_REVOLUTIONS:g} revolutions"
             )
-            revolutions = _CURVE_REVOLUTIONS if n_rows < len(values) else 0.0
-            values, description = (
+            revolutions = _N_CURVE_REVOLUTIONS if n_rows < len(values) else 0.0
+            values, rows_text = (
                 _detrend(values[:n_rows], degree, revolutions),
-                f"{trend} removed{row_remark}",
+                f"{trend_name} removed{rows_remark}",
             )
             unit = signal.unit or ""
-    extent, half_range = _find_extremes(values)
-    return {"extent": extent, "words": description, "size": half_range, "unit": unit}
+    extent, half_range = _find_extrema(values)
+    return {"extent": extent, "words": rows_text, "size": half_range, "unit": unit}
 
 
 def _count_preview_rows(column: FileColumn, guess: FileGuess) -> int:
     """Return the number of rows of the previewed revolutions; all rows if the rate is unknown."""
-    n_rows, step = len(column.values), 1.0 / (guess.sampling_rate or 1.0)
+    n_rows, sample_interval = len(column.values), 1.0 / (guess.sampling_rate or 1.0)
     if guess.time is not None:
-        time = next(c for c in guess.contents.columns if c.name == guess.time.column)
-        steps = np.diff(time.values[np.isfinite(time.values)])
-        if not (steps > 0.0).any():
+        time_column = next(c for c in guess.contents.columns if c.name == guess.time.column)
+        time_steps = np.diff(time_column.values[np.isfinite(time_column.values)])
+        if not (time_steps > 0.0).any():
             return n_rows
-        step = guess.time.factor * median(steps[steps > 0.0])
+        sample_interval = guess.time.factor * median(time_steps[time_steps > 0.0])
     if not guess.rate:
         return n_rows
-    return int(min(n_rows, max(16.0, _CURVE_REVOLUTIONS * 2.0 * np.pi / (guess.rate * step))))
+    return int(
+        min(n_rows, max(16.0, _N_CURVE_REVOLUTIONS * 2.0 * np.pi / (guess.rate * sample_interval)))
+    )
 
 
 def _unwrap_angle(values: Array) -> Array:
@@ -255,19 +259,21 @@ def _detrend(values: Array, degree: int, revolutions: float = 0.0) -> Array:
         not subtracted; 0: no sinusoid.
     """
     is_finite = np.isfinite(values)
-    design = np.vander(np.linspace(-1.0, 1.0, len(values)), degree + 1)
+    polynomial_columns = np.vander(np.linspace(-1.0, 1.0, len(values)), degree + 1)
     phase = np.linspace(0.0, 2.0 * np.pi * revolutions, len(values))
-    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-    columns = np.hstack([design, waves]) if revolutions else design
+    harmonic_columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    columns = (
+        np.hstack([polynomial_columns, harmonic_columns]) if revolutions else polynomial_columns
+    )
     if is_finite.sum() <= columns.shape[1]:
         return values
     coefficients = np.linalg.lstsq(columns[is_finite], values[is_finite], rcond=None)[0]
-    return np.asarray(values - design @ coefficients[: degree + 1], dtype=float)
+    return np.asarray(values - polynomial_columns @ coefficients[: degree + 1], dtype=float)
 
 
-def _find_extremes(values: Array) -> tuple[list[tuple[float, float] | None], float]:
+def _find_extrema(values: Array) -> tuple[list[tuple[float, float] | None], float]:
     """Return minimum and maximum of each segment of a curve, and half of its range."""
-    segments = np.array_split(values, max(1, min(_PREVIEW_SEGMENTS, len(values))))
+    segments = np.array_split(values, max(1, min(_N_PREVIEW_SEGMENTS, len(values))))
     finite_segments = [segment[np.isfinite(segment)] for segment in segments]
     finite_values = values[np.isfinite(values)]
     half_range = (
@@ -335,10 +341,10 @@ def write_draft(
 ) -> WrittenCampaign:
     """Write the campaign for files and answers; return its name and the command."""
     target = app.target_path(folder)
-    draft, detected_test, _ = _make_draft(app, names, answers, test)
-    if isinstance(draft, UndecidedDraft) or detected_test is None:
+    draft, selected_test, _ = _make_draft(app, names, answers, test)
+    if isinstance(draft, UndecidedDraft) or selected_test is None:
         raise CampaignError("init", [f"test: {draft.questions[0].text}"], code="missing-answer")
     write_description(draft, target)
     files = [app.file(name) for name in names]
-    command = import_command(target, files, dict(draft.answers), detected_test)
+    command = import_command(target, files, dict(draft.answers), selected_test)
     return {"name": app.folder.name(target), "command": command}

@@ -135,8 +135,8 @@ def _split_problems(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
     keyed_problems = []
     for problem in problems:
         key, colon, message = problem.partition(": ")
-        is_key = bool(colon) and " " not in key.split('"')[0]
-        keyed_problems.append((key, message) if is_key else ("", problem))
+        has_key = bool(colon) and " " not in key.split('"')[0]
+        keyed_problems.append((key, message) if has_key else ("", problem))
     return tuple(keyed_problems)
 
 
@@ -154,16 +154,16 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
             raise CounterspinError(
                 f"{value!r} is not a date; use the form 2026-03-01", code="invalid-date"
             ) from error
-    parsed = parse_text(text)
+    parsed_document = parse_text(text)
     try:
-        expected = _make_expected_document(parsed, path, value)
+        expected_document = _make_expected_document(parsed_document, path, value)
         document = tomlkit.parse(text)
         _set_and_keep_format(document, path, value)
         changed_text = tomlkit.dumps(document)
-        is_expected = parse_toml(changed_text) == expected
+        is_as_expected = parse_toml(changed_text) == expected_document
     except (TOMLKitError, LookupError, TypeError, ValueError, AttributeError) as error:
         raise RequestError(_CANNOT_EDIT_MESSAGE) from error
-    if not is_expected:
+    if not is_as_expected:
         raise RequestError(_CANNOT_EDIT_MESSAGE)
     return changed_text
 
@@ -226,14 +226,14 @@ def _move_above_comments(table: Any, key: str) -> None:
     index = keys.index(key)
     if isinstance(body[index][1], Table | AoT):
         return
-    target = index
-    while target and body[target - 1][0] is None:
-        target -= 1
-    while isinstance(element := body[target][1], Comment) and not _HEADING.match(
+    target_index = index
+    while target_index and body[target_index - 1][0] is None:
+        target_index -= 1
+    while isinstance(element := body[target_index][1], Comment) and not _HEADING.match(
         element.trivia.comment
     ):
-        target += 1
-    body.insert(target, body.pop(index))
+        target_index += 1
+    body.insert(target_index, body.pop(index))
 
 
 _HEADING: Final = re.compile(r"#\s*\[")

@@ -148,13 +148,13 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Callable[..., Any]]] = {
 
 
 @cache
-def request_model(handler: Callable[..., Any]) -> type[BaseModel]:
+def make_request_model(handler: Callable[..., Any]) -> type[BaseModel]:
     """Return the model of a request: the parameters of its handler after `app`."""
-    hints = get_type_hints(handler, include_extras=True)
+    type_hints = get_type_hints(handler, include_extras=True)
     parameters = list(inspect.signature(handler).parameters.values())[1:]
     fields: dict[str, Any] = {
         parameter.name: (
-            hints[parameter.name],
+            type_hints[parameter.name],
             ... if parameter.default is parameter.empty else parameter.default,
         )
         for parameter in parameters
@@ -175,9 +175,9 @@ def handle_request(
 
     def call_handler() -> Any:
         document = json.loads(payload) if isinstance(payload, bytes) else dict(payload)
-        request = request_model(handler).model_validate(document)
+        request = make_request_model(handler).model_validate(document)
         return handler(
-            app, **{key: getattr(request, key) for key in request_model(handler).model_fields}
+            app, **{key: getattr(request, key) for key in make_request_model(handler).model_fields}
         )
 
     response = call_with_error_response(app, call_handler)
@@ -186,11 +186,11 @@ def handle_request(
 
 def handle_ticket(app: AppState, ticket: str) -> ApiResponse:
     """Handle the request of a ticket."""
-    target = app.tickets.redeem(ticket)
-    if target is None:
+    request_target = app.tickets.redeem(ticket)
+    if request_target is None:
         text = "This download link has already been used. Click the download button again."
         return ApiResponse(404, {"error": text, "code": "not-found"})
-    return handle_request(app, "GET", *target)
+    return handle_request(app, "GET", *request_target)
 
 
 def call_with_error_response(app: AppState, function: Callable[[], T]) -> T | ApiResponse:

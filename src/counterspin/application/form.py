@@ -76,15 +76,15 @@ def campaign_form() -> tuple[FormSection, ...]:
     for key, model in SECTION_MODELS.items():
         section = _make_section(key, model, "campaign")
         if key == "runs":
-            section["fields"] = _table_fields(model, "campaign", READINGS)
-            section["reading_fields"] = _table_fields(model, "campaign", RECORDS)
+            section["fields"] = _make_table_fields(model, "campaign", READINGS)
+            section["reading_fields"] = _make_table_fields(model, "campaign", RECORDS)
         if key == "specification":
-            section["name_fields"] = _tolerance_fields()
+            section["name_fields"] = _make_tolerance_fields()
             section["fields"] = section["name_fields"] + section["fields"]
         if key == "truth":
-            section["fields"] = _table_fields(AccelerometerTruthSettings, "campaign")
+            section["fields"] = _make_table_fields(AccelerometerTruthSettings, "campaign")
             section["table_fields"] = {
-                name: _table_fields(model, "campaign") for name, model in TRUE_TABLES.items()
+                name: _make_table_fields(model, "campaign") for name, model in TRUE_TABLES.items()
             }
         sections.append(section)
     return tuple(sections)
@@ -98,16 +98,16 @@ def lab_form() -> tuple[FormSection, ...]:
         model = find_model(field.annotation)
         if model is not None:
             sections.append(_make_section(field.alias or name, model, "certificate"))
-    evidence = Lab.model_fields["evidence"]
+    evidence_field = Lab.model_fields["evidence"]
     sections.append(
         {
             "key": "evidence",
-            "words": strip_links(evidence.description or ""),
+            "words": strip_links(evidence_field.description or ""),
             "explained": "certificate#assumed-terms",
             "repeat": None,
             "fields": [
-                _text_field(ALL_TERMS, "a report", "evidence for every term"),
-                *(_text_field(symbol, "a report or a data sheet") for symbol in TERMS),
+                _make_text_field(ALL_TERMS, "a report", "evidence for every term"),
+                *(_make_text_field(symbol, "a report or a data sheet") for symbol in TERMS),
             ],
         }
     )
@@ -135,12 +135,12 @@ def detect_run_types(document: Mapping[str, Any]) -> list[str]:
     return ["reading" if is_reading(run) else "record" for run in entries]
 
 
-def _tolerance_fields() -> list[FormField]:
+def _make_tolerance_fields() -> list[FormField]:
     """Return the fields of tolerance limits, one for each term of an accelerometer."""
-    return [_text_field(symbol, f"abs <= … {row.unit}") for symbol, row in TERMS.items()]
+    return [_make_text_field(symbol, f"abs <= … {row.unit}") for symbol, row in TERMS.items()]
 
 
-def _text_field(key: str, example: str, help_text: str = "") -> FormField:
+def _make_text_field(key: str, example: str, help_text: str = "") -> FormField:
     """Return an optional text field."""
     return {
         "key": key,
@@ -163,45 +163,49 @@ def _make_section(key: str, model: type[BaseModel], page: str) -> FormSection:
         "words": (description[:1].upper() + description[1:]).replace("`", ""),
         "explained": find_page_of_model(model) or page,
         "repeat": _REPEATED_SECTIONS.get(key),
-        "fields": _table_fields(model, page),
+        "fields": _make_table_fields(model, page),
     }
 
 
-def _table_fields(model: type[BaseModel], page: str, excluded: str = "") -> list[FormField]:
-    """Return the fields of a table, except those for `excluded` only."""
+def _make_table_fields(
+    model: type[BaseModel], page: str, excluded_method: str = ""
+) -> list[FormField]:
+    """Return the fields of a table, except those for `excluded_method` only."""
     page = (find_page_of_model(model) or page).partition("#")[0]
     return [
         _make_field(field.alias or name, field, page)
         for name, field in model.model_fields.items()
-        if not excluded or field_extra(field).get("x-of") != excluded
+        if not excluded_method or field_extra(field).get("x-of") != excluded_method
     ]
 
 
 def _make_field(key: str, field: FieldInfo, page: str) -> FormField:
-    base, metadata = _unwrap_annotation(field.annotation, field.metadata)
-    extra = field_extra(field)
-    if_absent = extra.get("x-absent")
+    base_type, metadata = _unwrap_annotation(field.annotation, field.metadata)
+    field_options = field_extra(field)
+    default_text = field_options.get("x-absent")
     meaning = (
         ""
         if key in ACCELEROMETER_TERMS
         else (field.description or "").removesuffix("; see the following table")
     )
-    help_text = "; ".join(filter(None, [meaning, f"default: {if_absent}" if if_absent else ""]))
+    help_text = "; ".join(
+        filter(None, [meaning, f"default: {default_text}" if default_text else ""])
+    )
     form_field: FormField = {
         "key": key,
-        "label": extra.get("x-label") or _key_label(key),
+        "label": field_options.get("x-label") or _key_label(key),
         "help": strip_links(help_text).replace("`", ""),
         "links": _find_links(help_text, page),
         "required": field.is_required(),
-        **cast("FormField", _describe_input(base, metadata, page)),
+        **cast("FormField", _describe_input(base_type, metadata, page)),
     }
-    kind_text = extra.get("x-kind", "")
+    kind_text = field_options.get("x-kind", "")
     if kind_text.startswith("date"):
         form_field["kind"] = "date"
     elif kind_text in ("country", "language"):
         form_field["kind"], form_field["names"] = kind_text, dict(codes_in_force(kind_text))
     elif kind_text.startswith("list of terms"):
-        form_field["kind"], form_field["rows"] = "terms", _term_rows()
+        form_field["kind"], form_field["rows"] = "terms", _make_term_rows()
     (example,) = field.examples or [None]
     if isinstance(example, str | int | float) and not isinstance(example, bool):
         form_field["example"] = str(example)
@@ -232,12 +236,12 @@ def _key_label(key: str) -> str:
 
 
 @cache
-def _term_rows() -> tuple[TermRow, ...]:
+def _make_term_rows() -> tuple[TermRow, ...]:
     """Return the terms and families that a list of terms can contain, with descriptions."""
     rows = {symbol: row.words for symbol, row in ACCELEROMETER_TERMS.items()}
-    for family, members in BARE_NAMES.items():
+    for family, member_terms in BARE_NAMES.items():
         if family.count(".") == 1:
-            rows[family] = f"{members[0].words} (and similar terms)"
+            rows[family] = f"{member_terms[0].words} (and similar terms)"
     for symbol, row in (*SHARED_TERMS.items(), *READING_TERMS.items()):
         if symbol.count(".") == 1:
             rows.setdefault(symbol, row.words)
@@ -269,22 +273,22 @@ def _includes_table(alternatives: Sequence[Any]) -> bool:
     return any(typing.get_origin(alternative) is dict for alternative in alternatives)
 
 
-def _describe_input(base: Any, metadata: Sequence[Any], page: str) -> dict[str, Any]:
+def _describe_input(base_type: Any, metadata: Sequence[Any], page: str) -> dict[str, Any]:
     """Return type, choices, suggestions, units and other properties of an input."""
-    if typing.get_origin(base) is Literal:
-        return {"kind": "choice", "choices": list(typing.get_args(base))}
-    readers = [item for item in metadata if isinstance(item, PlainValidator)]
-    if readers:
-        reader, input_type = readers[0].func, readers[0].json_schema_input_type
+    if typing.get_origin(base_type) is Literal:
+        return {"kind": "choice", "choices": list(typing.get_args(base_type))}
+    value_parsers = [item for item in metadata if isinstance(item, PlainValidator)]
+    if value_parsers:
+        value_parser, input_type = value_parsers[0].func, value_parsers[0].json_schema_input_type
         input_fields: dict[str, Any] = {
-            "kind": "number" if _is_number(input_type, base) else "text"
+            "kind": "number" if _is_number(input_type, base_type) else "text"
         }
-        if isinstance(reader, partial):
-            units = expected_quantity(reader.args[0])[1].split(", ")
-            input_fields = {"kind": "quantity", "unit": reader.args[0], "units": units}
-        elif reader in (parse_temperature, parse_temperatures):
+        if isinstance(value_parser, partial):
+            units = expected_quantity(value_parser.args[0])[1].split(", ")
+            input_fields = {"kind": "quantity", "unit": value_parser.args[0], "units": units}
+        elif value_parser in (parse_temperature, parse_temperatures):
             input_fields = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
-        elif reader is parse_celsius:
+        elif value_parser is parse_celsius:
             input_fields = {"kind": "quantity", "unit": "degC", "units": ["degC"]}
         suggestions = [
             choice
@@ -292,8 +296,8 @@ def _describe_input(base: Any, metadata: Sequence[Any], page: str) -> dict[str, 
             for choice in _literal_choices(alternative)
         ]
         return input_fields | ({"suggestions": suggestions} if suggestions else {})
-    if isinstance(base, type) and issubclass(base, BaseModel):
-        return {"kind": "group", "fields": _table_fields(base, page)}
+    if isinstance(base_type, type) and issubclass(base_type, BaseModel):
+        return {"kind": "group", "fields": _make_table_fields(base_type, page)}
     checks = [item.func for item in metadata if isinstance(item, AfterValidator)]
     unit_choices = next((choices for check in checks if (choices := _accepted_units(check))), ())
     if unit_choices:
@@ -301,8 +305,8 @@ def _describe_input(base: Any, metadata: Sequence[Any], page: str) -> dict[str, 
             unit for unit in unit_choices for unit in expected_quantity(unit)[1].split(", ")
         ]
         return {"kind": "text", "suggestions": list(dict.fromkeys(suggestions))}
-    origin = typing.get_origin(base)
-    return {"kind": _INPUT_KINDS.get(origin or base, "text")}
+    origin = typing.get_origin(base_type)
+    return {"kind": _INPUT_KINDS.get(origin or base_type, "text")}
 
 
 def _alternatives(annotation: Any) -> Sequence[Any]:
@@ -318,10 +322,10 @@ def _literal_choices(annotation: Any) -> Sequence[Any]:
     return typing.get_args(annotation) if typing.get_origin(annotation) is Literal else ()
 
 
-def _is_number(annotation: Any, base: Any) -> bool:
+def _is_number(annotation: Any, base_type: Any) -> bool:
     return any(
         alternative in (float, int)
-        for alternative in _alternatives(base if annotation is Any else annotation)
+        for alternative in _alternatives(base_type if annotation is Any else annotation)
     )
 
 

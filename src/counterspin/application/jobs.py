@@ -110,7 +110,7 @@ def report_progress(connection: Connection, function: Callable[[ProgressCallback
 _MAX_FINISHED_JOBS: Final = 50
 
 #: Called with the result of a job's process.
-OnDone = Callable[[Any], None]
+DoneCallback = Callable[[Any], None]
 
 
 @dataclass
@@ -169,7 +169,7 @@ class Jobs:
         make_job: Callable[[int], Job],
         function: Callable[..., None],
         *arguments: Any,
-        on_done: OnDone = lambda _: None,
+        on_done: DoneCallback = lambda _: None,
     ) -> Job:
         """Start a job, or return the active job with the same output.
 
@@ -199,7 +199,11 @@ class Jobs:
         return job
 
     def _start_thread(
-        self, job: Job, function: Callable[..., None], arguments: tuple[Any, ...], on_done: OnDone
+        self,
+        job: Job,
+        function: Callable[..., None],
+        arguments: tuple[Any, ...],
+        on_done: DoneCallback,
     ) -> None:
         threading.Thread(
             target=self._run, args=(job, function, arguments, on_done), daemon=True
@@ -225,13 +229,17 @@ class Jobs:
             pass  # the running job has terminated its process
 
     def _run(
-        self, job: Job, function: Callable[..., None], arguments: tuple[Any, ...], on_done: OnDone
+        self,
+        job: Job,
+        function: Callable[..., None],
+        arguments: tuple[Any, ...],
+        on_done: DoneCallback,
     ) -> None:
         with self._run_lock:
             if job.stop.is_set():
                 job.state = "stopped"
                 return
-            job.state, start = "running", time.monotonic()
+            job.state, start_time = "running", time.monotonic()
             try:
                 worker = Worker(function, *arguments)
             except CounterspinError as error:
@@ -241,14 +249,14 @@ class Jobs:
                 while not job.stop.is_set() and job.state == "running":
                     if (message := worker.receive(0.05)) is not None:
                         self._handle_message(job, message, on_done)
-                    job.seconds = time.monotonic() - start
+                    job.seconds = time.monotonic() - start_time
             finally:
                 if job.stop.is_set() and job.state == "running":
                     job.state = "stopped"
                 worker.terminate()
 
     @staticmethod
-    def _handle_message(job: Job, message: tuple[Any, ...], on_done: OnDone) -> None:
+    def _handle_message(job: Job, message: tuple[Any, ...], on_done: DoneCallback) -> None:
         match message:
             case ("progress", n_done, n_total):
                 job.progress = (n_done, n_total)
@@ -312,8 +320,8 @@ class LiveViews:
         """
         empty_state = {"html": "", "events": [], "complete": False, "reached": None}
         with self._lock:
-            key = (campaign, goal)
-            view = self._get_view(key)
+            view_key = (campaign, goal)
+            view = self._get_view(view_key)
             has_ended = False
             while not has_ended and (message := view.worker.receive()) is not None:
                 match message:
@@ -324,7 +332,7 @@ class LiveViews:
                     case _:
                         has_ended = True
             if has_ended:
-                self._views.pop(key).worker.terminate()
+                self._views.pop(view_key).worker.terminate()
             return cast("LiveState", empty_state | view.state)
 
     def _get_view(self, key: tuple[Path, str]) -> _View:
@@ -384,8 +392,8 @@ def run_live_view(connection: Connection, campaign: Path, goal: str) -> None:
 
         for state in watch(campaign, goals=[goal] if goal else []):
             # The page keeps its own list of events.
-            quiet_blocks = state.model_copy(update={"events": []})
-            blocks = list(map(typeset_block, quiet_blocks.blocks()))
+            state_without_events = state.model_copy(update={"events": []})
+            blocks = list(map(typeset_block, state_without_events.blocks()))
             message = {
                 "events": state.events,
                 "complete": state.complete,

@@ -145,13 +145,13 @@ def _read_profile(app: AppState) -> Mapping[str, Any]:
 def _remove_template_values(value: Any, path: KeyPath) -> Any:
     """Return a value without values of the template."""
     if isinstance(value, dict):
-        kept_values = {
+        stated_values = {
             key: _remove_template_values(item, (*path, key)) for key, item in value.items()
         }
-        return {key: item for key, item in kept_values.items() if item not in (None, {}, [])}
+        return {key: item for key, item in stated_values.items() if item not in (None, {}, [])}
     if isinstance(value, list):
-        kept_items = [_remove_template_values(item, path) for item in value]
-        return [item for item in kept_items if item not in (None, {}, [])]
+        stated_items = [_remove_template_values(item, path) for item in value]
+        return [item for item in stated_items if item not in (None, {}, [])]
     return None if is_template_value(path, value) else value
 
 

@@ -67,7 +67,7 @@ _DOCUMENTATION_FOLDERS: Final = (
     _PACKAGE_FOLDER.parents[2] / "docs",
 )
 
-_HEADING_OR_KEYS: Final = re.compile(
+_HEADING_OR_KEY_TABLE: Final = re.compile(
     r"^(?:#+ (?P<heading>.*)|<!-- keys: (?P<model>\w+) -->)$", re.MULTILINE
 )
 _COMMENT: Final = re.compile(r"^<!--.*?-->\n", re.MULTILINE | re.DOTALL)
@@ -96,12 +96,12 @@ def _read_page_texts() -> Mapping[str, str]:
 
 
 @cache
-def _find_key_tables() -> Mapping[str, str]:
+def _find_table_addresses() -> Mapping[str, str]:
     """Return class name -> address of the table of its keys: page and anchor."""
     addresses: dict[str, str] = {}
     for name, text in _read_page_texts().items():
         current_address = name
-        for match in _HEADING_OR_KEYS.finditer(text):
+        for match in _HEADING_OR_KEY_TABLE.finditer(text):
             if match["heading"] is not None:
                 current_address = f"{name}#{make_anchor(match['heading'])}"
             else:
@@ -111,7 +111,7 @@ def _find_key_tables() -> Mapping[str, str]:
 
 def find_page_of_model(model: type) -> str | None:
     """Return the address of the table of the keys of a class: page, ``#`` and anchor."""
-    return _find_key_tables().get(model.__name__)
+    return _find_table_addresses().get(model.__name__)
 
 
 def resolve_page_link(link: str, page: str) -> str | None:
@@ -123,13 +123,18 @@ def resolve_page_link(link: str, page: str) -> str | None:
 
 def make_manual_page(name: str) -> ManualPage:
     """Return a page as HTML, and names and titles of all pages; NotFoundError if unknown."""
-    texts = _read_page_texts()
-    if name not in texts:
+    text_by_page = _read_page_texts()
+    if name not in text_by_page:
         raise NotFoundError(f"the documentation has no page {name}")
-    titles = {
-        page_name: text.partition("\n")[0].removeprefix("# ") for page_name, text in texts.items()
+    title_by_page = {
+        page_name: text.partition("\n")[0].removeprefix("# ")
+        for page_name, text in text_by_page.items()
     }
-    return {"title": titles[name], "html": _render_manual_page(name), "pages": list(titles.items())}
+    return {
+        "title": title_by_page[name],
+        "html": _render_manual_page(name),
+        "pages": list(title_by_page.items()),
+    }
 
 
 @cache
@@ -350,12 +355,12 @@ def render_page_picture(
 def _get_page_or_job(app: AppState, kind: PageType, names: Sequence[str], term: str) -> Page | Job:
     """Return a page, from the cache if possible, or the job that computes it."""
     files: list[Path] = [app.file(name) for name in names]
-    cached, store = app.cache.lookup(("page", kind, *files, term), files)
-    if cached is not None:
-        return cast("Page", cached)
+    cached_page, store_in_cache = app.cache.lookup(("page", kind, *files, term), files)
+    if cached_page is not None:
+        return cast("Page", cached_page)
     page = _PAGE_MAKERS[kind](app, names, term)
     if isinstance(page, Page):
-        return store(page)
+        return store_in_cache(page)
     calculation = page
 
     def make_job(number: int) -> Job:
@@ -364,7 +369,7 @@ def _get_page_or_job(app: AppState, kind: PageType, names: Sequence[str], term: 
     def store_page(plan_result: PlanResult) -> None:
         from counterspin.planning.page import plan_blocks
 
-        store(
+        store_in_cache(
             Page(plan_result.title, _typeset_blocks(plan_blocks(plan_result)), calculation.command)
         )
 

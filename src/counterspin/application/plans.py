@@ -105,8 +105,8 @@ class Slider:
         """Return a value, given in SI, in the unit of the file."""
         if self.spec.is_integer:
             return round(value)
-        number = float(f"{value / self.factor:.6g}")
-        return f"{number:g} {self.unit}" if self.unit else number
+        rounded_value = float(f"{value / self.factor:.6g}")
+        return f"{rounded_value:g} {self.unit}" if self.unit else rounded_value
 
 
 def plan_overview(app: AppState, name: str) -> PlanOverview:
@@ -119,7 +119,7 @@ def plan_overview(app: AppState, name: str) -> PlanOverview:
     return {
         "name": name,
         "title": stated_plan.template.title or name,
-        "limits": [limit.to_dict() for limit in _make_sliders(stated_plan, load_document(file))],
+        "limits": [slider.to_dict() for slider in _make_sliders(stated_plan, load_document(file))],
         "command": plan_command(file, None),
     }
 
@@ -136,7 +136,7 @@ def begin_plan(app: AppState, name: str, example: Example = "records") -> NameAn
 
 
 def _read_plan(app: AppState, file: Path) -> Plan | ReadingPlan:
-    def read() -> Plan | ReadingPlan:
+    def parse() -> Plan | ReadingPlan:
         document = load_document(file)
         app.require_inside(file.parent, document)
         if not is_plan(document):
@@ -145,7 +145,7 @@ def _read_plan(app: AppState, file: Path) -> Plan | ReadingPlan:
             )
         return read_any_plan(file)
 
-    return app.cache.get(("plan", file), [file], read)
+    return app.cache.get(("plan", file), [file], parse)
 
 
 # Adjustable limits
@@ -159,9 +159,9 @@ def _make_sliders(stated_plan: Plan | ReadingPlan, document: Mapping[str, Any]) 
     for key, value in _stated_limits(stated_plan).items():
         spec, (unit, factor) = slider_specs[key], ("", 1.0)
         if key == "highest_rate":
-            unit, factor = _detect_rate_unit(document)
+            unit, factor = _detect_rate_unit_and_factor(document)
         elif spec.unit:
-            unit, factor = _detect_unit(limits.get(key), spec.unit)
+            unit, factor = _detect_unit_and_factor(limits.get(key), spec.unit)
         low, high = value * spec.low_factor, value * spec.high_factor or 60.0
         if key == "total_time":
             high = max(high, MAX_TIME)
@@ -186,7 +186,7 @@ def _stated_limits(stated_plan: Plan | ReadingPlan) -> dict[str, float]:
     return {key: value for key, value in limit_values.items() if math.isfinite(value)}
 
 
-def _detect_unit(value: Any, unit: str) -> tuple[str, float]:
+def _detect_unit_and_factor(value: Any, unit: str) -> tuple[str, float]:
     """Return the unit in which a quantity is written, and its conversion factor to `unit`."""
     text = value.strip() if isinstance(value, str) else ""
     number = re.match(BARE_NUMBER, text)
@@ -194,25 +194,25 @@ def _detect_unit(value: Any, unit: str) -> tuple[str, float]:
     return (written_unit, unit_factor(written_unit, unit)) if written_unit else (unit, 1.0)
 
 
-def _detect_rate_unit(document: Mapping[str, Any]) -> tuple[str, float]:
+def _detect_rate_unit_and_factor(document: Mapping[str, Any]) -> tuple[str, float]:
     """Return the unit of rates in a plan, and its conversion factor to rad/s."""
     limits = table_of(document, "limits")
     rates = limits.get("rates")
     values = [limits.get("highest_rate"), *(rates if isinstance(rates, list) else ())]
     first_value = next((text for text in (*values, limits.get("lowest_rate")) if text), None)
-    return _detect_unit(first_value, "rad/s")
+    return _detect_unit_and_factor(first_value, "rad/s")
 
 
-def _set_limits(app: AppState, name: str, text: str, moved: Mapping[str, float]) -> str:
+def _set_limits(app: AppState, name: str, text: str, new_values: Mapping[str, float]) -> str:
     """Return the text of a plan with changed limits.
 
-    moved: Key of [limits] -> value in SI.
+    new_values: Key of [limits] -> value in SI.
     """
     file = app.file(name)
     limits = {
         limit.key: limit for limit in _make_sliders(_read_plan(app, file), load_document(file))
     }
-    for key, value in moved.items():
+    for key, value in new_values.items():
         if key not in limits:
             raise RequestError(f"{key} is not a limit of this plan")
         if not math.isclose(value, limits[key].value, rel_tol=1e-9):
@@ -229,18 +229,20 @@ def make_planned_page(
     """
     file = app.file(name)
     key = ("planned", file, *sorted((moved or {}).items()))
-    cached, store = app.cache.lookup(key, [file])
-    if cached is not None:
-        return {"job": None, "html": cached}
+    cached_html, store_in_cache = app.cache.lookup(key, [file])
+    if cached_html is not None:
+        return {"job": None, "html": cached_html}
     text = _set_limits(app, name, app.folder.read(name).text, moved or {})
     document = parse_document(text.encode("utf-8"), name)
 
     def make_job(number: int) -> Job:
         return Job(number, name, "", plan_command(file, None), "plan")
 
-    def store_page(planned: PlannedCampaign) -> None:
-        blocks = list(map(typeset_block, plan_blocks(planned.result)))
-        store(app.folder.relative_paths(render_fragment(blocks, title=planned.result.title)))
+    def store_page(planned_campaign: PlannedCampaign) -> None:
+        blocks = list(map(typeset_block, plan_blocks(planned_campaign.result)))
+        store_in_cache(
+            app.folder.relative_paths(render_fragment(blocks, title=planned_campaign.result.title))
+        )
 
     job = app.jobs.begin(make_job, run_plan, document, file, on_done=store_page)
     return {"job": job.to_dict(), "html": ""}
@@ -267,12 +269,12 @@ def begin_planned(
     def make_job(number: int) -> Job:
         return Job(number, name, app.folder.name(target), plan_command(file, target), "plan")
 
-    def write_plan(planned: PlannedCampaign) -> None:
+    def write_plan(planned_campaign: PlannedCampaign) -> None:
         # Files are written only after the plan has been computed.
         make_folder(target)
         if text != plan_text.text:
             app.folder.write(name, text, plan_text.version)
-        write_campaign(planned, target)
+        write_campaign(planned_campaign, target)
 
     return app.jobs.begin(make_job, run_plan, document, file, on_done=write_plan).to_dict()
 

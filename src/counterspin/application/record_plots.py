@@ -89,7 +89,9 @@ def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> Re
         "rows": len(record.time),
         "first": float(record.time[0]),
         "last": float(record.time[-1]),
-        "used": [limit if math.isfinite(limit) else None for limit in run_description.time_range],
+        "used": [
+            end_time if math.isfinite(end_time) else None for end_time in run_description.time_range
+        ],
         "file": app.folder.name(run_description.record),
     }
     return {"overview": overview}
@@ -124,18 +126,21 @@ def record_window(
     edges = np.linspace(start, stop, parts + 1).astype(np.intp)
     starts, ends = record.time[edges[:-1]], record.time[edges[1:] - 1]
     time = np.stack([0.75 * starts + 0.25 * ends, 0.25 * starts + 0.75 * ends], axis=1).ravel()
-    columns = [segment_extremes(values, edges).ravel() for values in record.values]
+    columns = [segment_extrema(values, edges).ravel() for values in record.values]
     return _make_window(time, columns, is_complete=False)
 
 
-def segment_extremes(values: Array, edges: np.ndarray) -> Array:
+def segment_extrema(values: Array, edges: np.ndarray) -> Array:
     """Return minimum and maximum of each segment, shape (m, 2); NaN for empty segments.
 
     values: Shape (n,); NaN for missing values.
     edges: Start indices of the segments, and end of the last; increasing; shape (m + 1,).
     """
-    used_values, starts = values[: edges[-1]], edges[:-1]
-    minimum, maximum = np.fmin.reduceat(used_values, starts), np.fmax.reduceat(used_values, starts)
+    segment_values, starts = values[: edges[-1]], edges[:-1]
+    minimum, maximum = (
+        np.fmin.reduceat(segment_values, starts),
+        np.fmax.reduceat(segment_values, starts),
+    )
     return np.stack([minimum, maximum], axis=1)
 
 
@@ -225,12 +230,12 @@ def begin_fit(app: AppState, name: str) -> JobEntry:
     path = app.description(name)
     app.campaign(name).require_records("a plot of the fit")
     command = calibrate_command(path.parent, path.parent / "result.json", "joint", None)
-    _, store = app.cache.lookup(*_fit_cache_key(app, name))
+    _, store_in_cache = app.cache.lookup(*_fit_cache_key(app, name))
 
     def make_job(number: int) -> Job:
         return Job(number, name, "", command, "fit")
 
-    return app.jobs.begin(make_job, run_fit, path, on_done=store).to_dict()
+    return app.jobs.begin(make_job, run_fit, path, on_done=store_in_cache).to_dict()
 
 
 def get_fitted_run(app: AppState, name: str, run: str) -> PlotColumns:
@@ -264,20 +269,20 @@ def run_fit(connection: Connection, campaign: Path) -> None:
                 JointProblem(recorded_campaign, list(observe(recorded_campaign)))
             )[0].fit
             runs: dict[str, list[tuple[str, str, Array, Array, Array]]] = {}
-            for prepared, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
-                series = prepared.series
-                detrended = subtract_polynomial(series.time, series.error, series.order)
+            for design_block, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
+                series = design_block.series
+                detrended_error = subtract_polynomial(series.time, series.error, series.order)
                 # The same polynomial is subtracted from both, so their difference is the residual.
                 runs.setdefault(series.run, []).append(
                     (
                         series.accelerometer,
                         series.observable,
                         series.time,
-                        detrended,
-                        detrended - residuals.unweighted,
+                        detrended_error,
+                        detrended_error - residuals.unweighted,
                     )
                 )
-        return {run: _merge_columns(run_data) for run, run_data in runs.items()}
+        return {run: _merge_columns(run_series) for run, run_series in runs.items()}
 
     report_progress(connection, fit_records)
 
@@ -289,19 +294,19 @@ def subtract_polynomial(time: Array, values: Array, degree: int) -> Array:
     return np.asarray(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0])
 
 
-def _merge_columns(run_data: list[tuple[str, str, Array, Array, Array]]) -> PlotColumns:
+def _merge_columns(run_series: list[tuple[str, str, Array, Array, Array]]) -> PlotColumns:
     """Return data and fit of all accelerometers at the union of their times."""
     from counterspin.campaign.settings import OBSERVABLES
 
-    trends = {"displacement": "parabola", "velocity": "line", "specific_force": "mean"}
-    time = np.unique(np.concatenate([series_time for _, _, series_time, _, _ in run_data]))
+    trend_names = {"displacement": "parabola", "velocity": "line", "specific_force": "mean"}
+    time = np.unique(np.concatenate([series_time for _, _, series_time, _, _ in run_series]))
     names, units, values = [], [], []
-    for accelerometer, observable, series_time, data, fitted in run_data:
-        for label, series_values in (("data", data), ("fit", fitted)):
+    for accelerometer, observable, series_time, data_values, fit_values in run_series:
+        for label, series_values in (("data", data_values), ("fit", fit_values)):
             column = np.full(time.size, np.nan)
             column[np.searchsorted(time, series_time)] = series_values
             values.append(column)
-            names.append(f"{accelerometer}: {label}, {trends[observable]} removed")
+            names.append(f"{accelerometer}: {label}, {trend_names[observable]} removed")
             units.append(OBSERVABLES[observable])
     return PlotColumns(time, tuple(names), tuple(units), tuple(values))
 
@@ -338,7 +343,7 @@ def get_study_duration(app: AppState, name: str) -> DurationAnswer:
 
     path = app.description(name)
     files = [path, *(run.record for run in app.campaign(name).runs)]
-    duration, store = app.cache.lookup(("duration", path), files)
+    duration, store_in_cache = app.cache.lookup(("duration", path), files)
     if duration is not None:
         return {
             "job": None,
@@ -354,19 +359,19 @@ def get_study_duration(app: AppState, name: str) -> DurationAnswer:
     def make_job(number: int) -> Job:
         return Job(number, name, "", command, "estimate")
 
-    job = app.jobs.begin(make_job, run_duration_estimate, path, on_done=store)
+    job = app.jobs.begin(make_job, run_duration_estimate, path, on_done=store_in_cache)
     return {"job": job.to_dict(), "duration": None}
 
 
 def run_duration_estimate(connection: Connection, campaign: Path) -> None:
     """Estimate the duration of a study; report to `connection` as in `report_progress`."""
 
-    def estimate(_: ProgressCallback) -> Any:
+    def estimate_study_duration(_: ProgressCallback) -> Any:
         from counterspin.studies.study import estimate_duration
 
         return estimate_duration(campaign)
 
-    report_progress(connection, estimate)
+    report_progress(connection, estimate_study_duration)
 
 
 def run_study(connection: Connection, campaign: Path, output: Path, trials: int) -> None:

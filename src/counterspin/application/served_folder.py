@@ -56,8 +56,8 @@ class EditConflictError(CounterspinError):
 
     code = "edit-conflict"
 
-    def __init__(self, name: str, current: FileVersion) -> None:
-        self.current = current
+    def __init__(self, name: str, current_file: FileVersion) -> None:
+        self.current = current_file
         super().__init__(
             f"Another window or program has changed {name}, so nothing was written. "
             "Compare the two versions, then save again."

@@ -66,7 +66,7 @@ _MAX_HEAD_BYTES: Final = 1 << 14
 _MAX_CONNECTIONS: Final = 128
 
 #: Length of the queue of pending connections.
-_BACKLOG: Final = 64
+_LISTEN_BACKLOG: Final = 64
 
 
 class TimedConnection(H11Protocol):
@@ -117,7 +117,7 @@ class TimedConnection(H11Protocol):
 _FOLDER_PREFIX: Final = "counterspin-serve-"
 
 #: Loopback address.
-_ADDRESS: Final = "127.0.0.1"
+_LOOPBACK_ADDRESS: Final = "127.0.0.1"
 
 #: Timeout for the end of preloading, s.
 _LOADING_TIMEOUT: Final = 30.0
@@ -199,7 +199,7 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        asyncio.get_running_loop().set_exception_handler(_log_unexpected)
+        asyncio.get_running_loop().set_exception_handler(_log_unexpected_error)
         yield
         await run_in_threadpool(app.close)
 
@@ -220,7 +220,7 @@ def make_application(app: AppState, credentials: Credentials) -> Starlette:
     return application
 
 
-def _log_unexpected(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+def _log_unexpected_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Log unexpected errors, except those of the operating system."""
     if not isinstance(context.get("exception"), OSError):
         loop.default_exception_handler(context)
@@ -242,12 +242,12 @@ def _static_file(name: str) -> Response:
     """Return a static file of the page, or a style or script of the reports."""
     from counterspin.reports.html import page_script, page_style
 
-    generated: dict[str, Callable[[], str]] = {"report.css": page_style, "report.js": page_script}
+    generators: dict[str, Callable[[], str]] = {"report.css": page_style, "report.js": page_script}
     media_type = _MEDIA_TYPES.get(Path(name).suffix)
     if media_type is None:
         return JSONResponse({"error": "This page does not exist."}, 404)
-    if name in generated:
-        return Response(generated[name](), media_type=media_type)
+    if name in generators:
+        return Response(generators[name](), media_type=media_type)
     assets = resources.files("counterspin.application") / "assets"
     # The name is compared with existing files and never used as a path.
     file = next((candidate for candidate in assets.iterdir() if candidate.name == name), None)
@@ -273,9 +273,11 @@ def serve(
     if signing is None:
         app = AppState(ServedFolder(folder))
     else:
-        command, cert = signing
-        options = {"signer": command, "cert": str(cert)}
-        app = AppState(ServedFolder(folder), command_signer(command, cert), options)
+        signing_command, certificate_path = signing
+        options = {"signer": signing_command, "cert": str(certificate_path)}
+        app = AppState(
+            ServedFolder(folder), command_signer(signing_command, certificate_path), options
+        )
     private_parent = _private_folder()
     campaign_files.remove_remnants(app.folder)
     with (
@@ -299,8 +301,10 @@ def serve(
             )
             browser_timer.daemon = True
             browser_timer.start()
-        has_ended = threading.Event()
-        preload_thread = threading.Thread(target=_preload, args=(app, has_ended), daemon=True)
+        end_event = threading.Event()
+        preload_thread = threading.Thread(
+            target=_preload_modules, args=(app, end_event), daemon=True
+        )
         preload_thread.start()
         # uvicorn raises the signal again at its end, but temporary files must be removed first.
         previous_handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -310,7 +314,7 @@ def serve(
         finally:
             signal.signal(signal.SIGTERM, previous_handler)
             # Python aborts if it ends during the import of a C++ library.
-            has_ended.set()
+            end_event.set()
             preload_thread.join(_LOADING_TIMEOUT)
     print_line("Server stopped.")
 
@@ -341,14 +345,14 @@ def _write_redirect(folder: Path, link: str) -> str:
     return file.as_uri()
 
 
-def _preload(app: AppState, has_ended: threading.Event) -> None:
+def _preload_modules(app: AppState, end_event: threading.Event) -> None:
     """Load modules before the first request.
 
     Drawing a picture and rendering a page fills the caches of fonts and templates.
     """
     pages = "counterspin.calibration.pages.document"
     for name in ("polars", "scipy.special", "counterspin.calibration.observed_runs", pages):
-        if has_ended.is_set():
+        if end_event.is_set():
             return
         import_module(name)
     from counterspin.reports.blocks import Bars
@@ -366,7 +370,7 @@ def make_server(app: AppState, credentials: Credentials) -> uvicorn.Server:
     config = uvicorn.Config(
         make_application(app, credentials),
         http=TimedConnection,
-        backlog=_BACKLOG,
+        backlog=_LISTEN_BACKLOG,
         h11_max_incomplete_event_size=_MAX_HEAD_BYTES,
         # Errors are returned in responses; protocol errors are not logged.
         log_level="critical",
@@ -387,7 +391,7 @@ def open_listener(port: int) -> socket.socket:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
         else:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((_ADDRESS, port))
+        listener.bind((_LOOPBACK_ADDRESS, port))
         listener.listen()
     except (OSError, OverflowError) as error:
         listener.close()

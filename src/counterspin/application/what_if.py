@@ -93,7 +93,7 @@ def improvements(app: AppState, name: str, result: str) -> Improvements:
     name: The campaign's folder.
     result: The result file.
     """
-    suggestions = _get_search_results(app, name)
+    suggestion_by_name = _get_search_results(app, name)
     entries: list[Improvement] = []
     for owner, accelerometer_result in app.result(result).accelerometers.items():
         best_prior = next(_prior_improvements(app.result(result), owner), None)
@@ -104,13 +104,13 @@ def improvements(app: AppState, name: str, result: str) -> Improvements:
                 "accelerometer": owner,
                 "stated": best_prior,
                 "runs": None
-                if suggestions is None
-                else _run_improvement(suggestions.get(owner), accelerometer_result),
+                if suggestion_by_name is None
+                else _run_improvement(suggestion_by_name.get(owner), accelerometer_result),
             }
         )
     return {
         "ways": entries,
-        "searched": suggestions is not None,
+        "searched": suggestion_by_name is not None,
         "has_runs": _has_records(app, name),
     }
 
@@ -134,13 +134,15 @@ def _prior_improvements(result: Result, owner: str) -> Iterator[PriorImprovement
         accelerometer_result.budget[symbol],
     )
     current_u = update.u(symbol, {})
-    remaining_u = {}
+    remaining_u_by_source = {}
     for line in lines:
         prior_u = update.known.get(line.source)
         if line.kind == "unstated" and prior_u is not None and _is_prior(line.source):
-            remaining_u[line.source] = update.u(symbol, {line.source: IMPROVEMENT_FACTOR * prior_u})
-    for source in sorted(remaining_u, key=lambda name: remaining_u[name]):
-        if remaining_u[source] > _MAX_REMAINING_FRACTION * current_u:
+            remaining_u_by_source[line.source] = update.u(
+                symbol, {line.source: IMPROVEMENT_FACTOR * prior_u}
+            )
+    for source in sorted(remaining_u_by_source, key=lambda name: remaining_u_by_source[name]):
+        if remaining_u_by_source[source] > _MAX_REMAINING_FRACTION * current_u:
             return
         improved_u, source_unit = (
             IMPROVEMENT_FACTOR * update.known[source],
@@ -152,7 +154,7 @@ def _prior_improvements(result: Result, owner: str) -> Iterator[PriorImprovement
             "words": describe_term(source),
             "assumed_u": _format_u(improved_u, source_unit),
             "current_u": _format_u(current_u, unit),
-            "remaining_u": _format_u(remaining_u[source], unit),
+            "remaining_u": _format_u(remaining_u_by_source[source], unit),
         }
 
 
@@ -180,12 +182,14 @@ def begin_search(app: AppState, name: str) -> JobEntry:
     """Start a search for helpful runs in another attitude; return the job."""
     path = app.description(name)
     campaign = app.campaign(name)
-    _, store = app.cache.lookup(("ways", path), [path, *(run.record for run in campaign.runs)])
+    _, store_in_cache = app.cache.lookup(
+        ("ways", path), [path, *(run.record for run in campaign.runs)]
+    )
 
     def make_job(number: int) -> Job:
         return Job(number, name, "", forecast_command(path.parent), "forecast")
 
-    return app.jobs.begin(make_job, run_search, path, on_done=store).to_dict()
+    return app.jobs.begin(make_job, run_search, path, on_done=store_in_cache).to_dict()
 
 
 def run_search(connection: Connection, campaign: Path) -> None:
@@ -197,7 +201,7 @@ def run_search(connection: Connection, campaign: Path) -> None:
         from counterspin.planning.recorded import observe_with_noise, suggest_runs
 
         recorded_campaign = add_recorded_conditions(read_campaign(campaign))
-        observed, noise = observe_with_noise(recorded_campaign)
+        observed_runs, noise = observe_with_noise(recorded_campaign)
         suggestions = {}
         for index, owner in enumerate(recorded_campaign.accelerometers):
             progress(index, len(recorded_campaign.accelerometers))
@@ -207,7 +211,7 @@ def run_search(connection: Connection, campaign: Path) -> None:
                 else recorded_campaign.model.terms[0]
             )
             suggestions[owner] = suggest_runs(
-                recorded_campaign, observed, noise, f"{owner}.{symbol}"
+                recorded_campaign, observed_runs, noise, f"{owner}.{symbol}"
             )
         return suggestions
 
@@ -254,9 +258,9 @@ def apply_improvement(
             text = set_value(text, ["runs", n_runs + index], run)
     if problems := parse_campaign_text(app, source, text).problems:
         raise CounterspinError(": ".join(problems[0]), code="invalid-value")
-    copy = copy_campaign(app, name, find_free_name(app, f"{name}-{suffix}"))["name"]
-    app.folder.write(f"{copy}/{DESCRIPTION_NAME}", text, description_text.version)
-    return {"name": copy, "key": key}
+    copy_name = copy_campaign(app, name, find_free_name(app, f"{name}-{suffix}"))["name"]
+    app.folder.write(f"{copy_name}/{DESCRIPTION_NAME}", text, description_text.version)
+    return {"name": copy_name, "key": key}
 
 
 def _find_best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str], str]:

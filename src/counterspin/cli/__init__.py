@@ -89,10 +89,12 @@ def _describe_unexpected_error(error: Exception) -> str:
         return "the output cannot be written: no space left on device"
     if isinstance(error, OSError) and error.strerror:
         # Not a defect of counterspin: the file name is too long, or the folder was removed.
-        location = f"{error.filename}: " if error.filename else ""
-        if location and isinstance(error, FileNotFoundError):
-            return f"{location}{describe_read_error(error)}"
-        return str(CounterspinError(f"{location}the operating system reports: {error.strerror}"))
+        location_text = f"{error.filename}: " if error.filename else ""
+        if location_text and isinstance(error, FileNotFoundError):
+            return f"{location_text}{describe_read_error(error)}"
+        return str(
+            CounterspinError(f"{location_text}the operating system reports: {error.strerror}")
+        )
     if isinstance(error, ImportError):
         return (
             f"part of the installation cannot be loaded ({CounterspinError(str(error))}); "
@@ -118,17 +120,17 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     with warnings.catch_warnings():
         warnings.simplefilter("always", CounterspinWarning)
-        default_show = warnings.showwarning
+        default_showwarning = warnings.showwarning
 
-        def show(
+        def show_warning(
             message: Warning | str, category: type[Warning], *location: Any, **options: Any
         ) -> None:
             if issubclass(category, CounterspinWarning):
                 print_error(translate_message(str(message), app, arguments))
             else:
-                default_show(message, category, *location, **options)
+                default_showwarning(message, category, *location, **options)
 
-        warnings.showwarning = show
+        warnings.showwarning = show_warning
         return _run_command(arguments)
 
 
@@ -147,8 +149,8 @@ def _run_command(arguments: list[str]) -> int:
         return error.exit_status
     except CycloptsError as error:
         print_error(str(error))
-        command = " ".join(("counterspin", *(error.command_chain or ()), "--help"))
-        print(f"Try {command}.", file=sys.stderr)
+        help_command = " ".join(("counterspin", *(error.command_chain or ()), "--help"))
+        print(f"Try {help_command}.", file=sys.stderr)
         return CampaignError.exit_status
     except KeyboardInterrupt as interrupt:
         print_error(str(interrupt) or "stopped")

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from counterspin.calibration.options import TwoStageOptions
     from counterspin.output import FileType
 
-_CONTRADICTION: Final = "the records contradict the result"
-_REMEDY: Final = (
+_CONTRADICTION_TEXT: Final = "the records contradict the result"
+_REMEDY_TEXT: Final = (
     "Find the cause and calibrate again, or accept the misfit and state the reason: "
     "--accept-misfit REASON"
 )
@@ -220,7 +220,7 @@ def calibrate(
     ledger_options.add_result(save_options.json)
     if result.state == "contradicted" and result.accepted_misfit is None:
         raise CounterspinError(
-            f"{_CONTRADICTION}: {result.findings[0].text} {_REMEDY}", code="contradicted"
+            f"{_CONTRADICTION_TEXT}: {result.findings[0].text} {_REMEDY_TEXT}", code="contradicted"
         )
     if result.state == "not-determined":
         first_finding = result.findings[0]
@@ -269,7 +269,8 @@ def calibrate_several(
         )
     if batch.contradicted:
         raise CounterspinError(
-            f"{_CONTRADICTION} of {len(batch.contradicted)}. {_REMEDY}", code="contradicted"
+            f"{_CONTRADICTION_TEXT} of {len(batch.contradicted)}. {_REMEDY_TEXT}",
+            code="contradicted",
         )
     if batch.not_determined:
         names = ", ".join(batch.not_determined)

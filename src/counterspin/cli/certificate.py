@@ -55,11 +55,11 @@ class SigningOptions:
         """Write a certificate, and print its files and notes."""
         write_files = certificate.write_both if self.both else certificate.write
         written_paths = write_files(output, ledger=ledger)
-        files = " and ".join(
+        files_text = " and ".join(
             map(str, written_paths if isinstance(written_paths, list) else [written_paths])
         )
         names = f" of {', '.join(certificate.accelerometers)}" if certificate.accelerometers else ""
-        print_output(f"Wrote {files}: certificate {certificate.identifier}{names}.")
+        print_output(f"Wrote {files_text}: certificate {certificate.identifier}{names}.")
         for note in certificate.notes:
             print_output(note)
 
@@ -192,26 +192,26 @@ def certificate(
         print_output(f"Wrote {write_example(init)}. Replace all example data in this file.")
         return
     if verify is not None:
-        checked = check_certificate(
+        verification = check_certificate(
             verify,
             schema=signing_options.schema,
             signer_certificate=signing_options.cert,
             amended_path=issue_options.amends,
         )
-        make_console().print(Report(list(certificate_blocks(checked.numbers))))
+        make_console().print(Report(list(certificate_blocks(verification.numbers))))
         signature_statements = {
             "none": "The document is not signed.",
             "unchecked": "The document is signed, but the signature was not checked. To check "
             "the signature, give --cert CERT.pem.",
             "valid": "The signature is valid.",
         }
-        print_output("", signature_statements[checked.signature])
-        if checked.expiry_date is not None:
+        print_output("", signature_statements[verification.signature])
+        if verification.expiry_date is not None:
             print_output(
-                f"The signer's certificate expired on {checked.expiry_date}; it was valid on the "
-                "day of issue stated in the document."
+                f"The signer's certificate expired on {verification.expiry_date}; it was valid "
+                "on the day of issue stated in the document."
             )
-        if (replaced_identifier := checked.numbers.amended_identifier) is not None:
+        if (replaced_identifier := verification.numbers.amended_identifier) is not None:
             checksum_statement = (
                 ", whose checksum is correct" if issue_options.amends is not None else ""
             )
@@ -220,14 +220,14 @@ def certificate(
                 f"{checksum_statement}."
             )
         if verify.suffix.lower() == ".pdf":
-            print_output(_PAGE_STATEMENTS[checked.page_signature])
+            print_output(_PAGE_STATEMENTS[verification.page_signature])
         return
     if result is None or lab is None or output is None:
         raise UsageError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
     if (issue_options.amends is None) != (issue_options.reason is None):
         raise UsageError("certificate", ["give both --amends OLD.xml and --reason WHY"])
     signing_options.check_output(output)
-    issued = issue_certificate(
+    issued_certificate = issue_certificate(
         result,
         lab,
         schema=signing_options.schema,
@@ -238,4 +238,4 @@ def certificate(
         if issue_options.amends is None or issue_options.reason is None
         else Amendment(issue_options.amends, issue_options.reason),
     )
-    signing_options.write(issued, output, issue_options.ledger)
+    signing_options.write(issued_certificate, output, issue_options.ledger)

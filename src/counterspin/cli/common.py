@@ -42,10 +42,10 @@ def unwrap_docstring(docstring: str) -> str:
     for line in cleandoc(docstring).splitlines():
         has_sections |= line.startswith("---")
         previous_line = lines[-1] if lines else ""
-        continues_parameter = line.startswith("    ") and previous_line.startswith("    ")
-        continues_paragraph = not has_sections and line and previous_line
+        is_parameter_continuation = line.startswith("    ") and previous_line.startswith("    ")
+        is_paragraph_continuation = not has_sections and line and previous_line
         if (
-            (continues_paragraph or continues_parameter)
+            (is_paragraph_continuation or is_parameter_continuation)
             and line.strip()
             and not line.startswith("---")
         ):
@@ -91,24 +91,24 @@ class SaveOptions:
     @contextmanager
     def saving(self, result: ResultFile) -> Iterator[None]:
         """Write a result before it is printed; if that fails, print it and raise the error."""
-        failure = None
+        write_error = None
         if self.json is not None:
             try:
                 result.write(self.json, overwrite=self.overwrite)
             except CounterspinError as error:
-                failure = error
+                write_error = error
         try:
             yield
         finally:
-            if failure is not None:
-                raise failure
+            if write_error is not None:
+                raise write_error
 
 
 #: Options without a result file.
 NO_RESULT_FILE: Final = SaveOptions()
 
 #: Function named in a message -> the equivalent command.
-_FUNCTION_COMMANDS: Final = {
+_COMMAND_BY_FUNCTION: Final = {
     "certificates.lab.write_example": "counterspin certificate --init LAB.toml",
     "forecast": "counterspin plan --check DIR",
     "planning.plan.write_example": "counterspin plan --init FILE",
@@ -170,8 +170,8 @@ def translate_message(message: str, app: App, arguments: Iterable[str]) -> str:
 
     def to_option(match: re.Match[str]) -> str:
         name, value = match["name"], match["text"]
-        if name in _FUNCTION_COMMANDS:
-            return f"`{_FUNCTION_COMMANDS[name]}`"
+        if name in _COMMAND_BY_FUNCTION:
+            return f"`{_COMMAND_BY_FUNCTION[name]}`"
         if name not in options:
             return match[0]
         option = options[name]

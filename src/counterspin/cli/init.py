@@ -133,7 +133,7 @@ def _import_files(
 
 def _add_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
     """Return a problem, with the option that answers its question added."""
-    question = next((q for start, q in questions.items() if problem.startswith(start)), None)
+    question = next((q for prefix, q in questions.items() if problem.startswith(prefix)), None)
     if question is None:
         return problem
     return (
@@ -167,8 +167,8 @@ def _choose_test(contents: Sequence[FileContents], *, is_interactive: bool) -> T
 def _parse_answers(answer_options: list[str]) -> dict[str, str]:
     answers = {}
     for option in answer_options:
-        key, equals_sign, value = option.partition("=")
-        if not equals_sign or not value.strip():
+        key, separator, value = option.partition("=")
+        if not separator or not value.strip():
             raise UsageError("init", [f'answer: "{option}" is not of the form KEY=VALUE'])
         answers[key.strip()] = value.strip()
     return answers
@@ -176,9 +176,9 @@ def _parse_answers(answer_options: list[str]) -> dict[str, str]:
 
 def _prompt(question: FileQuestion) -> str:
     """Prompt for an answer until it is valid, and return it."""
-    hint = " or ".join(question.choices) or f"for example {question.example}"
-    default = f"; Enter: {question.guess}" if question.guess else ""
-    print_output(f"{question.text} ({hint}{default})")
+    hint_text = " or ".join(question.choices) or f"for example {question.example}"
+    default_text = f"; Enter: {question.guess}" if question.guess else ""
+    print_output(f"{question.text} ({hint_text}{default_text})")
     while True:
         try:
             answer = input("> ").strip() or question.guess or ""

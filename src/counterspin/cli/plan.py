@@ -100,18 +100,18 @@ def plan(
         if output is not None:
             raise UsageError("plan", ["--output requires a plan, not --check"])
         try:
-            typed = recording_details.sampling_rate
-            rate = None if typed is None else parse_exact(typed, "Hz")
+            rate_text = recording_details.sampling_rate
+            rate = None if rate_text is None else parse_exact(rate_text, "Hz")
         except ValueError as error:
             raise CampaignError("--sampling-rate", [str(error)], code=error_code(error)) from error
         result = forecast(check, sampling_rate=rate, revolutions=recording_details.revolutions)
     else:
         assert file is not None  # one of the three is
         with show_progress(labels=("Searching",) * 3):
-            planned = make_plan(file)
-        result = planned.result
+            planned_campaign = make_plan(file)
+        result = planned_campaign.result
     with save_options.saving(result):
-        path = None if output is None else write_campaign(planned, output)
+        path = None if output is None else write_campaign(planned_campaign, output)
         make_console().print(result)
     if output is not None and result.readings:
         print_output("", f"Wrote {path}. Replace each ? with the reading, then calibrate:")

@@ -168,8 +168,8 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
         )
     if not dossier.passed:
         installation = dossier.installation
-        file_names = ", ".join([*installation.altered, *installation.missing])
+        file_names_text = ", ".join([*installation.altered, *installation.missing])
         raise CounterspinError(
-            f"installed files are altered or missing: {file_names}; reinstall counterspin",
+            f"installed files are altered or missing: {file_names_text}; reinstall counterspin",
             code="installation-altered",
         )

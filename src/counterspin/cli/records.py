@@ -44,16 +44,18 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     from counterspin.reports.text import show_progress
     from counterspin.simulation.simulate import simulate as run_simulation
 
-    description = read_campaign(campaign)
+    campaign_description = read_campaign(campaign)
     with show_progress(labels=("Simulating", "Files", "Files")) as advance:
-        written_files = run_simulation(description, output, overwrite=overwrite, progress=advance)
-    print_output(*(f"Warning: {question.text}" for question in ask_questions(description)))
-    files = (
+        written_files = run_simulation(
+            campaign_description, output, overwrite=overwrite, progress=advance
+        )
+    print_output(*(f"Warning: {question.text}" for question in ask_questions(campaign_description)))
+    files_text = (
         f"{len(written_files)} {'file' if len(written_files) == 1 else 'files'} and "
         if written_files
         else ""
     )
-    print_output(f"Wrote {files}campaign.toml to {output}.")
+    print_output(f"Wrote {files_text}campaign.toml to {output}.")
 
 
 @command
@@ -152,7 +154,7 @@ def _show_live_display(states: Iterator[WatchState]) -> None:
 
 
 def _print_lines(states: Iterator[WatchState], *, once: bool) -> None:
-    from counterspin.monitoring.page import watch_line
+    from counterspin.monitoring.page import format_watch_line
     from counterspin.reports.text import make_console
 
     for state in states:
@@ -160,11 +162,11 @@ def _print_lines(states: Iterator[WatchState], *, once: bool) -> None:
             make_console().print(state)
             return
         time_of_day = time.strftime("%H:%M:%S")
-        events = [f"{time_of_day} {event}" for event in state.events]
-        failures = [
+        event_lines = [f"{time_of_day} {event}" for event in state.events]
+        failure_lines = [
             f"{time_of_day} {run.run}: {run.why}" for run in state.runs if run.state == "failed"
         ]
-        print_output(*events, *failures, f"{time_of_day} {watch_line(state)}")
+        print_output(*event_lines, *failure_lines, f"{time_of_day} {format_watch_line(state)}")
         sys.stdout.flush()
 
 

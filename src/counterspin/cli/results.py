@@ -70,7 +70,7 @@ def report(
     from counterspin.reports.publication import parse_issue_date, require_report_format
     from counterspin.reports.text import Report, make_console
 
-    issued = parse_issue_date(date)
+    issue_date = parse_issue_date(date)
     is_file = source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml")
     result_class = _detect_result_class(source) if is_file else Result
     if output is not None:
@@ -89,7 +89,7 @@ def report(
     if output is None:
         make_console().print(Report(list(result.publication(identifier).blocks)))
         return
-    result.write_report(output, identifier=identifier, issued=issued, overwrite=overwrite)
+    result.write_report(output, identifier=identifier, issued=issue_date, overwrite=overwrite)
     print_output(f"Wrote {output}.")
 
 

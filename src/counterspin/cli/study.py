@@ -82,12 +82,12 @@ def study(
     from counterspin.workers import Workers
 
     if output is None and (keep_trials or resume):
-        option = "`keep_trials`" if keep_trials else "`resume`"
+        option_name = "`keep_trials`" if keep_trials else "`resume`"
         raise CounterspinError(
-            f"{option} requires the folder of the study (`output`)", code="wrong-usage"
+            f"{option_name} requires the folder of the study (`output`)", code="wrong-usage"
         )
     save_options.check_writable(StudyResult.file_type)
-    folder = output and StudyFolder(output, keep_trials, resume, save_options.overwrite)
+    study_folder = output and StudyFolder(output, keep_trials, resume, save_options.overwrite)
     with show_work_progress("Trials") as advance:
         result = run_study(
             campaign,
@@ -95,7 +95,7 @@ def study(
             seed=trial_options.seed,
             engine=trial_options.engine,
             workers=Workers(worker_options.workers, worker_options.cluster),
-            output=folder,
+            output=study_folder,
             progress=advance,
         )
     with save_options.saving(result):

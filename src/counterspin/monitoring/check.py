@@ -19,8 +19,8 @@ from counterspin.monitoring.result import CheckedRun, CurrentEstimate, RunState
 from counterspin.monitoring.run_state import (
     CurrentFit,
     current_estimates,
-    displayed_names,
     fit_runs,
+    list_displayed_names,
     make_poses_state,
     make_run_state,
     pose_remarks,
@@ -92,18 +92,18 @@ def _check_record(record: object, campaign: Campaign, run_name: str | None) -> C
             expected=[],
             why_not="the record cannot be used in its present form",
         )
-    other_names, current = _check_with_others(campaign, checked_run, single_check.fit)
-    expected, reason = _forecast_estimates(campaign, checked_run, single_check)
+    other_names, current_values = _check_with_others(campaign, checked_run, single_check.fit)
+    expected_values, missing_reason = _forecast_estimates(campaign, checked_run, single_check)
     return CheckedRun(
         run=single_check.state,
         remarks=single_check.remarks,
         # Too few poses in this record may suffice together with those of other records.
         good=single_check.is_good
-        or (single_check.fit is None and any(c.u is not None for c in current)),
+        or (single_check.fit is None and any(c.u is not None for c in current_values)),
         others=other_names,
-        reached=current,
-        expected=expected,
-        why_not=reason,
+        reached=current_values,
+        expected=expected_values,
+        why_not=missing_reason,
     )
 
 
@@ -213,16 +213,17 @@ def _check_with_others(
     fit: Fit of this record alone; None if the record cannot be fitted alone.
     """
 
-    def keep_existing(candidate: RecordedRun) -> RecordedRun | None:
-        in_memory = candidate.record in campaign.frames
-        return candidate if candidate is run or in_memory or candidate.record.exists() else None
+    def keep_existing_record(candidate: RecordedRun) -> RecordedRun | None:
+        is_in_memory = candidate.record in campaign.frames
+        return candidate if candidate is run or is_in_memory or candidate.record.exists() else None
 
-    observer = Observer(_map_records(campaign, keep_existing))
+    observer = Observer(_map_records(campaign, keep_existing_record))
     observer.poll()
     recorded_campaign, observed_runs = observer.read_usable_runs()
-    other_names = [item.run.name for item in observed_runs]
+    other_names = [observed_run.run.name for observed_run in observed_runs]
     other_names += [
-        item.name for item in (recorded_campaign.triad.records if recorded_campaign.triad else ())
+        observed_run.name
+        for observed_run in (recorded_campaign.triad.records if recorded_campaign.triad else ())
     ]
     other_names.remove(run.name)
     if other_names or recorded_campaign.readings or recorded_campaign.posed:
@@ -230,7 +231,7 @@ def _check_with_others(
             fit = fit_runs(recorded_campaign, observed_runs)
         except CounterspinError:
             other_names = []
-    names = displayed_names(campaign)
+    names = list_displayed_names(campaign)
     return other_names, current_estimates(fit, names) if fit else undetermined_estimates(
         campaign, names
     )
@@ -242,7 +243,7 @@ def _forecast_estimates(
     """Return the expected uncertainties of the complete campaign, or the reason for none."""
     if not campaign.runs:
         return [], None
-    completed_campaign, sampling_rate = campaign, None
+    forecast_campaign, sampling_rate = campaign, None
     if single_check.observed is not None and single_check.fit is not None:
         duration = float(single_check.observed.record.time[-1])
         sampling_rate = 1.0 / single_check.observed.record.report.step
@@ -253,11 +254,11 @@ def _forecast_estimates(
             for listed_run in campaign.runs
         )
         noise = fitted_noise(single_check.fit.estimate.fit)
-        completed_campaign = apply_observations(
+        forecast_campaign = apply_observations(
             replace(campaign, runs=tuple(runs)), [single_check.observed], noise
         )
     runs_without_duration = [
-        listed_run.name for listed_run in completed_campaign.runs if listed_run.duration is None
+        listed_run.name for listed_run in forecast_campaign.runs if listed_run.duration is None
     ]
     if runs_without_duration:
         return (
@@ -265,10 +266,10 @@ def _forecast_estimates(
             f"the description does not state the duration of {', '.join(runs_without_duration)}",
         )
     try:
-        completed_campaign = add_pose_noise(completed_campaign)
-        prediction = forecast(completed_campaign, sampling_rate=sampling_rate)
+        forecast_campaign = add_pose_noise(forecast_campaign)
+        prediction = forecast(forecast_campaign, sampling_rate=sampling_rate)
     except CounterspinError as error:
         return [], str(error)
-    names = displayed_names(campaign)
-    estimates = current_estimates(CurrentFit(completed_campaign, prediction.estimate), names)
+    names = list_displayed_names(campaign)
+    estimates = current_estimates(CurrentFit(forecast_campaign, prediction.estimate), names)
     return [estimate.model_copy(update={"value": None}) for estimate in estimates], None

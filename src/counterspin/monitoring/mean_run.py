@@ -15,8 +15,8 @@ from counterspin.monitoring.observer import Observer, record_name
 from counterspin.monitoring.result import CheckedRun, CurrentEstimate, MeanState, RunState
 from counterspin.monitoring.run_state import (
     current_estimates,
-    displayed_names,
     fit_runs,
+    list_displayed_names,
     report_fields,
     rotation_fields,
     run_remarks,
@@ -159,7 +159,7 @@ def _fit_with_others(campaign: Campaign, run_name: str) -> tuple[list[str], list
     usable_campaign, observed_runs = observer.read_usable_runs()
     other_names = [observed_run.run.name for observed_run in observed_runs]
     other_names += [run.name for run in collect_mean_runs(usable_campaign) if run.name != run_name]
-    names = displayed_names(campaign)
+    names = list_displayed_names(campaign)
     try:
         usable_campaign = add_recorded_conditions(usable_campaign)
         return other_names, current_estimates(fit_runs(usable_campaign, observed_runs), names)

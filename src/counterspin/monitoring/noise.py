@@ -55,15 +55,15 @@ _MAX_SPINDLE_HARMONIC: Final = 8
 
 #: Motion test: number of segments, their smallest number of samples, and the smallest ratio of a
 #: segment's scatter to that of the quiet quarter. A bias walk reaches half that ratio.
-_MOTION_SEGMENTS: Final = 32
+_N_MOTION_SEGMENTS: Final = 32
 _MIN_SEGMENT_SAMPLES: Final = 32
-_MIN_MOTION_RATIO: Final = 8.0
+_MIN_SCATTER_RATIO: Final = 8.0
 
 #: p-value of a misfit of the spectrum, over all bands, below which it is reported.
 _MISFIT_SIGNIFICANCE: Final = 1e-3
 
 #: Factor on either side above which an interval is reported as wide.
-_WIDE_RATIO: Final = 2.0
+_MAX_INTERVAL_RATIO: Final = 2.0
 
 #: Deviation of a time from an integer number of steps above which times follow from row counts.
 _MAX_STEP_DEVIATION: Final = 0.3
@@ -173,10 +173,10 @@ def _select_signals(signals: list[StaticSignal], columns: Sequence[str]) -> list
         s for s in signals if not columns or s.column in columns or s.name in columns
     ]
     if not selected_signals:
-        available = ", ".join(signal.column for signal in signals)
+        available_columns = ", ".join(signal.column for signal in signals)
         raise CampaignError(
             "noise",
-            [f"`columns`: the accelerometers of the campaign have {available}"],
+            [f"`columns`: the accelerometers of the campaign have {available_columns}"],
             code="missing-column",
         )
     return selected_signals
@@ -198,10 +198,10 @@ def _guess_signals(
     if missing:
         available = ", ".join(column.name for column in contents.columns)
         problem = f"`columns`: column {missing[0]!r} does not exist; the columns are {available}"
-        if first_text := next(iter(contents.first_text_cells.get(missing[0], ())), ""):
+        if first_cell := next(iter(contents.first_text_cells.get(missing[0], ())), ""):
             problem = (
-                f"`columns`: column {missing[0]!r} contains the text {first_text[:40]!r}, not "
-                "numbers"
+                f"`columns`: column {missing[0]!r} contains the text {first_cell[:40]!r}, "
+                "not numbers"
             )
         problem += (
             f". The file was read as follows: {contents.format_description}"
@@ -433,9 +433,9 @@ def _alias_frequency(frequency: float, sampling_rate: float) -> float:
 
 def _noise_remarks(signal_noise: SignalNoise, record: StaticRecord) -> Iterator[str]:
     """Yield remarks on the validity of the figures."""
-    for key, size in signal_noise.components.items():
+    for key, noise_size in signal_noise.components.items():
         name = component_name(key)
-        if size.value is None:
+        if noise_size.value is None:
             if key in BIAS_COMPONENTS_BY_KEY:
                 scale = BIAS_COMPONENTS_BY_KEY[key].limit_scale
                 yield (
@@ -444,17 +444,17 @@ def _noise_remarks(signal_noise: SignalNoise, record: StaticRecord) -> Iterator[
                     "can reveal smaller values."
                 )
             continue
-        is_wide = (
-            size.high is None
-            or size.high > _WIDE_RATIO * size.value
-            or size.low * _WIDE_RATIO < size.value
+        has_wide_interval = (
+            noise_size.high is None
+            or noise_size.high > _MAX_INTERVAL_RATIO * noise_size.value
+            or noise_size.low * _MAX_INTERVAL_RATIO < noise_size.value
         )
-        if is_wide and size.low == 0.0:
+        if has_wide_interval and noise_size.low == 0.0:
             yield (
                 f"The interval for the {name} has no lower limit, because the record is too "
                 "short to distinguish this component from zero."
             )
-        elif is_wide:
+        elif has_wide_interval:
             yield (
                 f"The estimate of the {name} depends on the few slowest fluctuations in this "
                 "record, so its interval is wide. Use a record several times longer than "
@@ -467,9 +467,9 @@ def _noise_remarks(signal_noise: SignalNoise, record: StaticRecord) -> Iterator[
         )
         yield f"Rejected as outliers: {sample_count}."
     if signal_noise.gaps:
-        plural = "s" if signal_noise.gaps > 1 else ""
+        plural_suffix = "s" if signal_noise.gaps > 1 else ""
         yield (
-            f"The record is split at {signal_noise.gaps} gap{plural}. The "
+            f"The record is split at {signal_noise.gaps} gap{plural_suffix}. The "
             "spectrum and the Allan deviation use the longest part; the estimates of the noise "
             "components use all parts."
         )
@@ -531,20 +531,20 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
 def _motion_remarks(record: StaticRecord) -> Iterator[str]:
     """Yield a remark on the segment whose scatter of specific force indicates motion."""
     segment_start, values = record.segments.longest
-    segment_size = max(_MIN_SEGMENT_SAMPLES, values.size // _MOTION_SEGMENTS)
-    segments = values[: values.size // segment_size * segment_size].reshape(-1, segment_size)
-    scatter = segments.std(axis=1)
-    quiet_scatter, index = float(np.quantile(scatter, 0.25)), int(np.argmax(scatter))
+    segment_length = max(_MIN_SEGMENT_SAMPLES, values.size // _N_MOTION_SEGMENTS)
+    segments = values[: values.size // segment_length * segment_length].reshape(-1, segment_length)
+    scatters = segments.std(axis=1)
+    rest_scatter, index = float(np.quantile(scatters, 0.25)), int(np.argmax(scatters))
     if (
         record.signal.order == 0
-        and len(segments) >= _MOTION_SEGMENTS // 2
-        and scatter[index] > _MIN_MOTION_RATIO * quiet_scatter
+        and len(segments) >= _N_MOTION_SEGMENTS // 2
+        and scatters[index] > _MIN_SCATTER_RATIO * rest_scatter
     ):
-        start_time = segment_start + index * segment_size * record.segments.step
-        end_time = start_time + segment_size * record.segments.step
+        start_time = segment_start + index * segment_length * record.segments.step
+        end_time = start_time + segment_length * record.segments.step
         yield (
             f"From {start_time:.4g} s to {end_time:.4g} s, the "
-            f"scatter is {scatter[index] / quiet_scatter:.2g} times that of the quiet parts "
+            f"scatter is {scatters[index] / rest_scatter:.2g} times that of the quiet parts "
             "of the record. The sensor moved during part of the record, so the results do not "
             "describe the noise of the sensor. Remove the part with motion."
         )
@@ -561,7 +561,7 @@ def _misfit_remarks(bands: Sequence[Band]) -> Iterator[str]:
     """Yield a remark on the band where the spectrum deviates most from the components."""
     from scipy.stats import chi2
 
-    worst_band: tuple[float, Band] | None = None
+    worst_pair: tuple[float, Band] | None = None
     for band in bands:
         chi2_value = band.ratio * band.count
         p = (
@@ -570,11 +570,11 @@ def _misfit_remarks(bands: Sequence[Band]) -> Iterator[str]:
             * len(bands)
         )
         if p < _MISFIT_SIGNIFICANCE and (
-            worst_band is None or abs(math.log(band.ratio)) > worst_band[0]
+            worst_pair is None or abs(math.log(band.ratio)) > worst_pair[0]
         ):
-            worst_band = abs(math.log(band.ratio)), band
-    if worst_band is not None:
-        band = worst_band[1]
+            worst_pair = abs(math.log(band.ratio)), band
+    if worst_pair is not None:
+        band = worst_pair[1]
         yield (
             f"From {band.low:.3g} to {band.high:.3g} Hz, the record has {band.ratio:.3g} times "
             "the power of these noise components. The likely cause is a filter, a resonance or "
@@ -585,14 +585,14 @@ def _misfit_remarks(bands: Sequence[Band]) -> Iterator[str]:
 
 def format_noise_table(signals: Sequence[SignalNoise], gravity: float) -> str:
     """Return a [noise] table with the largest size of each component over all columns."""
-    max_sizes: dict[str, tuple[float, bool]] = {}
+    max_size_by_key: dict[str, tuple[float, bool]] = {}
     for signal in signals:
         for key, size in signal.components.items():
             if size.value is not None and key != "quantisation":
-                previous_max = max_sizes.get(key, (0.0, False))
-                max_sizes[key] = max(previous_max, (size.value, signal.in_g))
+                previous_pair = max_size_by_key.get(key, (0.0, False))
+                max_size_by_key[key] = max(previous_pair, (size.value, signal.in_g))
     lines = ["[noise]"]
-    for key, (value, is_in_g) in max_sizes.items():
+    for key, (value, is_in_g) in max_size_by_key.items():
         unit, factor = noise_display_unit(NOISE_UNITS[key], is_in_g, gravity)
         lines.append(f'{key} = "{format_number(value * factor)} {unit}"')
     return "\n".join(lines) + "\n"

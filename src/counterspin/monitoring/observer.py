@@ -43,19 +43,19 @@ from counterspin.temporary_folders import temporary_folder
 from counterspin.triads.record_poses import LocatedPose, extract_poses, pose_columns
 
 #: Suffixes of files to which rows are appended.
-GROWING_SUFFIXES: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.can_grow)
+GROWABLE_SUFFIXES: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.can_grow)
 
 #: Number of first rows from which the format is detected; they are prepended to new rows.
-_CONTEXT_ROWS: Final = 20
+_N_CONTEXT_ROWS: Final = 20
 
 #: Number of lines from which an unreadable file is an error instead of an incomplete beginning.
-_MIN_FAILED_LINES: Final = HEAD_LINES + _CONTEXT_ROWS
+_MIN_LINES_FOR_FAILURE: Final = HEAD_LINES + _N_CONTEXT_ROWS
 
 #: Number of bytes before the new ones that must be unchanged.
-_TAIL_BYTES: Final = 256
+_N_TAIL_BYTES: Final = 256
 
 #: Number of bytes read at a time.
-_CHUNK_BYTES: Final = 1 << 24
+_MAX_CHUNK_BYTES: Final = 1 << 24
 
 
 @dataclass
@@ -97,23 +97,25 @@ class GrowingTable:
             if event is not None:
                 self._reset()
             self._identity = identity
-            changed = event is not None
+            has_changed = event is not None
             file.seek(self._bytes_read)
             # Read only up to the size at the start: a fast writer would never end.
-            remaining = identity.size - self._bytes_read
+            n_remaining_bytes = identity.size - self._bytes_read
             incomplete_line = b""
-            while remaining > 0 and (chunk := file.read(min(remaining, _CHUNK_BYTES))):
-                remaining -= len(chunk)
+            while n_remaining_bytes > 0 and (
+                chunk := file.read(min(n_remaining_bytes, _MAX_CHUNK_BYTES))
+            ):
+                n_remaining_bytes -= len(chunk)
                 complete_lines, _, incomplete_line = (incomplete_line + chunk).rpartition(b"\n")
                 if complete_lines:
-                    changed |= self._read_lines(complete_lines + b"\n")
-            return changed, event
+                    has_changed |= self._read_lines(complete_lines + b"\n")
+            return has_changed, event
 
     def _describe_change(self, identity: FileIdentity, file: FileIO) -> str | None:
-        previous = self._identity
-        if previous is None:
+        previous_identity = self._identity
+        if previous_identity is None:
             return None
-        if (identity.device, identity.inode) != (previous.device, previous.inode):
+        if (identity.device, identity.inode) != (previous_identity.device, previous_identity.inode):
             return "was replaced by another file; counterspin now reads the new file from the start"
         if identity.size < self._bytes_read:
             return "became shorter; counterspin now reads the file again from the start"
@@ -136,20 +138,20 @@ class GrowingTable:
             try:
                 new_columns, header_lines = self._read_columns(rows_file)
             except RecordError:
-                if not self._head and text.count(b"\n") < _MIN_FAILED_LINES:
+                if not self._head and text.count(b"\n") < _MIN_LINES_FOR_FAILURE:
                     return False  # wait for more lines
                 # Reading the file itself gives the right name and line in the error.
                 self._read_columns(self.path)
                 raise
         n_context_rows = self._n_context_rows
         if not self._head:
-            if len(new_columns[self.names[0]]) < _CONTEXT_ROWS:
+            if len(new_columns[self.names[0]]) < _N_CONTEXT_ROWS:
                 return False
-            self._n_context_rows = _CONTEXT_ROWS
+            self._n_context_rows = _N_CONTEXT_ROWS
             self._head = b"".join(text.splitlines(keepends=True)[:header_lines])
         self._append({name: values[n_context_rows:] for name, values in new_columns.items()})
         self._bytes_read += len(lines)
-        self._tail = (self._tail + lines)[-_TAIL_BYTES:]
+        self._tail = (self._tail + lines)[-_N_TAIL_BYTES:]
         return True
 
     def _read_columns(self, path: Path) -> tuple[Columns, int]:
@@ -157,28 +159,28 @@ class GrowingTable:
         with open_columns(path, self.dialect) as file:
             file.require(list(self.names))
             columns = file.read_columns(list(self.names))
-            number = re.search(r"\d+", file.locate(_CONTEXT_ROWS - 1))
-            return columns, int(number[0]) if number else 0
+            line_number_match = re.search(r"\d+", file.locate(_N_CONTEXT_ROWS - 1))
+            return columns, int(line_number_match[0]) if line_number_match else 0
 
     def _append(self, new_columns: dict[str, np.ndarray]) -> None:
         """Append rows; the buffer doubles when it is full."""
-        n_new = len(new_columns[self.names[0]])
+        n_new_rows = len(new_columns[self.names[0]])
         for name, values in new_columns.items():
             column = self._columns.get(name)
-            if column is None or len(column) < self._n_rows + n_new:
-                buffer = np.empty(max(2 * (self._n_rows + n_new), 4096))
+            if column is None or len(column) < self._n_rows + n_new_rows:
+                buffer = np.empty(max(2 * (self._n_rows + n_new_rows), 4096))
                 if column is not None:
                     buffer[: self._n_rows] = column[: self._n_rows]
                 self._columns[name] = column = buffer
-            column[self._n_rows : self._n_rows + n_new] = values
-        self._n_rows += n_new
+            column[self._n_rows : self._n_rows + n_new_rows] = values
+        self._n_rows += n_new_rows
 
 
 #: Smallest number of revolutions of a usable record.
 MIN_REVOLUTIONS: Final = 3.5
 
 
-_NO_FILE: Final = "no file yet"
+_NO_FILE_REASON: Final = "no file yet"
 
 #: A run or a record of poses.
 RecordedRun = Run | PoseRecord
@@ -241,26 +243,26 @@ class Observer:
 
     def poll(self) -> tuple[bool, list[str]]:
         """Poll all records; return whether any changed, and sentences on file changes."""
-        changed, events = False, []
-        for watched in self._watched:
-            if watched.run.record in self._campaign.frames:
+        has_changed, events = False, []
+        for watched_run in self._watched:
+            if watched_run.run.record in self._campaign.frames:
                 continue  # in memory: it does not change
-            file_changed, event = _poll_file(watched)
-            changed |= file_changed
+            has_file_changed, event = _poll_file(watched_run)
+            has_changed |= has_file_changed
             if event is not None:
-                events.append(f"{watched.run.record.name} {event}.")
-        return changed, events
+                events.append(f"{watched_run.run.record.name} {event}.")
+        return has_changed, events
 
     def read_usable_runs(self) -> tuple[Campaign, list[ObservedRun]]:
         """Read changed records; return the campaign with usable records only, and the runs."""
         durations: dict[str, float] = {}
         frames = dict(self._campaign.frames)
-        for watched in self._watched:
-            self._read_record(watched)
-            if watched.record is not None:
-                durations[watched.run.name] = float(watched.record.time[-1])
-            if watched.poses and watched.table is not None:
-                frames[watched.run.record] = watched.table.table
+        for watched_run in self._watched:
+            self._read_record(watched_run)
+            if watched_run.record is not None:
+                durations[watched_run.run.name] = float(watched_run.record.time[-1])
+            if watched_run.poses and watched_run.table is not None:
+                frames[watched_run.run.record] = watched_run.table.table
         temperatures = {watched.run.name: watched.temperature for watched in self._watched}
         runs = tuple(
             r.model_copy(update={"temperature": temperatures[r.name]})
@@ -279,16 +281,16 @@ class Observer:
             )
         conditions = run_conditions(usable_campaign, durations) if runs else {}
         observed_runs = []
-        for watched in self._watched:
-            if watched.record is None or not isinstance(watched.run, Run):
+        for watched_run in self._watched:
+            if watched_run.record is None or not isinstance(watched_run.run, Run):
                 continue
-            current_conditions = conditions[watched.run.name]
-            if watched.observed is None or watched.conditions != current_conditions:
-                watched.observed = observe_run(
-                    usable_campaign, watched.run, watched.record, current_conditions
+            current_conditions = conditions[watched_run.run.name]
+            if watched_run.observed is None or watched_run.conditions != current_conditions:
+                watched_run.observed = observe_run(
+                    usable_campaign, watched_run.run, watched_run.record, current_conditions
                 )
-                watched.conditions = current_conditions
-            observed_runs.append(watched.observed)
+                watched_run.conditions = current_conditions
+            observed_runs.append(watched_run.observed)
         return usable_campaign, observed_runs
 
     def find_poses(self, name: str) -> tuple[LocatedPose, ...]:
@@ -319,41 +321,45 @@ class Observer:
             nominal_rate=run.rate if isinstance(run, Run) else 0.0,
         )
 
-    def _read_record(self, watched: _WatchedRun) -> None:
+    def _read_record(self, watched_run: _WatchedRun) -> None:
         """Read the record if its rows have changed."""
-        if not watched.is_stale:
+        if not watched_run.is_stale:
             return
-        watched.reset()
-        watched.record_error = watched.wait_reason = None
-        watched.is_stale = False
-        source = self._campaign
-        if watched.table is not None:
-            if not watched.table.n_rows:
-                watched.wait_reason = "no rows yet"
+        watched_run.reset()
+        watched_run.record_error = watched_run.wait_reason = None
+        watched_run.is_stale = False
+        campaign = self._campaign
+        if watched_run.table is not None:
+            if not watched_run.table.n_rows:
+                watched_run.wait_reason = "no rows yet"
                 return
-            watched.wait_reason = _wait_reason(watched.run, watched.columns, watched.table.table)
-            if watched.wait_reason is not None:
+            watched_run.wait_reason = _find_wait_reason(
+                watched_run.run, watched_run.columns, watched_run.table.table
+            )
+            if watched_run.wait_reason is not None:
                 return
-            frames = {**source.frames, watched.run.record: watched.table.table}
-            source = replace(source, frames=frames)
+            frames = {**campaign.frames, watched_run.run.record: watched_run.table.table}
+            campaign = replace(campaign, frames=frames)
         try:
-            watched.temperature = recorded_temperatures(source, watched.run, {})
-            run = copy_record(watched.run, temperature=watched.temperature)
+            watched_run.temperature = recorded_temperatures(campaign, watched_run.run, {})
+            run = copy_record(watched_run.run, temperature=watched_run.temperature)
             if isinstance(run, Run):
-                watched.record = read_run(source, run)
+                watched_run.record = read_run(campaign, run)
             else:
-                watched.poses = tuple(extract_poses(source, run))
+                watched_run.poses = tuple(extract_poses(campaign, run))
         except RecordError as error:
-            watched.record_error = str(error)
+            watched_run.record_error = str(error)
 
 
-def _wait_reason(run: RecordedRun, columns: RecordColumns, table: MemoryTable) -> str | None:
+def _find_wait_reason(run: RecordedRun, columns: RecordColumns, table: MemoryTable) -> str | None:
     """Return the reason why a growing record is too short to read, or None."""
-    clock, n_rows = columns.time, len(next(iter(table.columns.values())))
-    first, last = (
-        (0.0, n_rows - 1.0) if clock.is_derived_column else table.columns[clock.name][[0, -1]]
+    time_column, n_rows = columns.time, len(next(iter(table.columns.values())))
+    first_time, last_time = (
+        (0.0, n_rows - 1.0)
+        if time_column.is_derived_column
+        else table.columns[time_column.name][[0, -1]]
     )
-    seconds = float(last - first) * clock.factor
+    seconds = float(last_time - first_time) * time_column.factor
     if isinstance(run, PoseRecord):
         return (
             None
@@ -366,35 +372,37 @@ def _wait_reason(run: RecordedRun, columns: RecordColumns, table: MemoryTable) -
     return f"only {revolutions:.1f} of at least {MIN_REVOLUTIONS} revolutions so far"
 
 
-def _poll_file(watched: _WatchedRun) -> tuple[bool, str | None]:
-    path = watched.run.record
+def _poll_file(watched_run: _WatchedRun) -> tuple[bool, str | None]:
+    path = watched_run.run.record
     try:
-        if watched.table is not None:
-            changed, event = watched.table.read_new_rows()
-            watched.identity = (FileIdentity.from_file(path),)
+        if watched_run.table is not None:
+            has_changed, event = watched_run.table.read_new_rows()
+            watched_run.identity = (FileIdentity.from_file(path),)
         else:
-            identities = tuple(FileIdentity.from_file(file) for file in watched.files)
-            changed, event = identities != watched.identity, None
-            watched.identity = identities
+            identities = tuple(FileIdentity.from_file(file) for file in watched_run.files)
+            has_changed, event = identities != watched_run.identity, None
+            watched_run.identity = identities
     except FileNotFoundError:
-        has_disappeared = watched.identity is not None
-        watched.identity = None
-        watched.reset()
-        watched.is_stale, watched.wait_reason = False, _NO_FILE
-        watched.file_error = watched.record_error = None
-        if watched.table is not None:
-            watched.table = GrowingTable(path, watched.table.names, watched.table.dialect)
+        has_disappeared = watched_run.identity is not None
+        watched_run.identity = None
+        watched_run.reset()
+        watched_run.is_stale, watched_run.wait_reason = False, _NO_FILE_REASON
+        watched_run.file_error = watched_run.record_error = None
+        if watched_run.table is not None:
+            watched_run.table = GrowingTable(
+                path, watched_run.table.names, watched_run.table.dialect
+            )
         return has_disappeared, "has disappeared" if has_disappeared else None
     except (OSError, RecordError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         message = f"{path} cannot be read: {reason}." if reason else str(error)
-        changed, watched.file_error = message != watched.file_error, message
-        return changed, None
-    watched.file_error = None
-    watched.is_stale |= changed
-    if changed:
-        watched.wait_reason = None
-    return changed, event
+        has_changed, watched_run.file_error = message != watched_run.file_error, message
+        return has_changed, None
+    watched_run.file_error = None
+    watched_run.is_stale |= has_changed
+    if has_changed:
+        watched_run.wait_reason = None
+    return has_changed, event
 
 
 def _make_growing_table(
@@ -411,12 +419,12 @@ def _make_growing_table(
     specs = [columns.time, *([columns.angle] if columns.angle else []), *columns.signals.values()]
     specs += temperature_signals
     accepted_types = ("numbers", "temperature", *(() if isinstance(run, Run) else ("rows",)))
-    is_plain = all(
+    has_plain_columns = all(
         spec.kind in accepted_types and (spec.unit or not spec.target_unit) for spec in specs
     )
     if (
-        run.record.suffix.lower() not in GROWING_SUFFIXES
-        or not is_plain
+        run.record.suffix.lower() not in GROWABLE_SUFFIXES
+        or not has_plain_columns
         or columns.continuation_files
         or columns.pulses
     ):

@@ -30,55 +30,59 @@ from counterspin.reports.numbers import (
 )
 
 
-def watch_line(state: WatchState) -> str:
+def format_watch_line(state: WatchState) -> str:
     """Return a state in one line."""
     runs = ", ".join(f"{run.run} {_format_progress(run)}" for run in state.runs)
-    uncertainties = ", ".join(f"u({c.name}) {_format_u(c.u, c.unit)}" for c in state.coefficients)
+    uncertainties_text = ", ".join(
+        f"u({c.name}) {_format_u(c.u, c.unit)}" for c in state.coefficients
+    )
     residual_ratios = [r.ratio for run in state.runs for r in run.residuals.values()]
-    residual = f"; residuals {max(residual_ratios):.2f} times the noise" if residual_ratios else ""
-    goals = "; goal met" if state.met else ""
-    return f"{runs}; {uncertainties}{residual}{goals}"
+    residual_text = (
+        f"; residuals {max(residual_ratios):.2f} times the noise" if residual_ratios else ""
+    )
+    goal_text = "; goal met" if state.met else ""
+    return f"{runs}; {uncertainties_text}{residual_text}{goal_text}"
 
 
-def check_blocks(checked: CheckedRun) -> Iterator[Block]:
+def check_blocks(checked_run: CheckedRun) -> Iterator[Block]:
     """Yield the report of a checked record."""
-    run = checked.run
+    run = checked_run.run
     yield Heading(f"{run.run}: {run.record}", 1)
-    if checked.good:
+    if checked_run.good:
         verdict = (
             "The run is usable."
-            if not checked.remarks
+            if not checked_run.remarks
             else ("The run is usable, with these remarks:")
         )
     else:
         verdict = "The run failed its checks and should be repeated."
-    yield Paragraph(verdict, "answer" if checked.good else "warning")
-    for remark in checked.remarks:
-        yield Paragraph(remark, "plain" if checked.good else "warning")
+    yield Paragraph(verdict, "answer" if checked_run.good else "warning")
+    for remark in checked_run.remarks:
+        yield Paragraph(remark, "plain" if checked_run.good else "warning")
     if run.state == "read":
         rows = tuple(_run_rows(run))
         yield Table((Column("What"), Column("Found", wraps=True)), rows)
-    if checked.reached:
-        other_names = ", ".join(checked.others)
+    if checked_run.reached:
+        other_names = ", ".join(checked_run.others)
         yield Heading("Expected uncertainty")
         yield _coefficient_table(
-            checked,
+            checked_run,
             f"with {other_names}"
             if other_names
             else ("uncertainty from this record and the priors alone"),
         )
-    if checked.why_not and run.state == "read":
+    if checked_run.why_not and run.state == "read":
         yield Paragraph(
-            f"A forecast for the whole campaign is not possible, because {checked.why_not}.",
+            f"A forecast for the whole campaign is not possible, because {checked_run.why_not}.",
             "quiet",
         )
 
 
-def _coefficient_table(checked: CheckedRun, current_title: str) -> Table:
-    expected = {c.name: c for c in checked.expected}
+def _coefficient_table(checked_run: CheckedRun, current_title: str) -> Table:
+    expected_by_name = {c.name: c for c in checked_run.expected}
     rows = []
-    for c in checked.reached:
-        expected_estimate = expected.get(c.name)
+    for c in checked_run.reached:
+        expected_estimate = expected_by_name.get(c.name)
         rows.append(
             (
                 c.name,
@@ -89,7 +93,7 @@ def _coefficient_table(checked: CheckedRun, current_title: str) -> Table:
             )
         )
     titles = ("Coefficient", current_title.capitalize(), "uncertainty of the whole campaign")
-    n_columns = len(titles) if expected else len(titles) - 1
+    n_columns = len(titles) if expected_by_name else len(titles) - 1
     return Table(
         tuple(Column(title, wraps=True) for title in titles[:n_columns]),
         tuple(row[:n_columns] for row in rows),
@@ -97,13 +101,16 @@ def _coefficient_table(checked: CheckedRun, current_title: str) -> Table:
 
 
 def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
-    sampling_rate = f"{format_number(run.sampling_rate, 5)} Hz" if run.sampling_rate else "-"
-    repeated = f", {run.repeated} repeated rows" if run.repeated else ""
-    gaps = f", {run.gaps} gaps, the longest {run.longest_gap:.3g} s" if run.gaps else ", no gaps"
-    stated_duration = f" out of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
+    sampling_rate_text = f"{format_number(run.sampling_rate, 5)} Hz" if run.sampling_rate else "-"
+    repeated_text = f", {run.repeated} repeated rows" if run.repeated else ""
+    gaps_text = (
+        f", {run.gaps} gaps, the longest {run.longest_gap:.3g} s" if run.gaps else ", no gaps"
+    )
+    stated_text = f" out of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
     yield (
         "Clock",
-        f"{run.rows} rows at {sampling_rate}, {run.seconds:.5g} s{stated_duration}{gaps}{repeated}",
+        f"{run.rows} rows at {sampling_rate_text}, {run.seconds:.5g} s"
+        f"{stated_text}{gaps_text}{repeated_text}",
     )
     if run.poses is not None:
         yield from _pose_rows(run, run.poses)
@@ -112,27 +119,27 @@ def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
         if run.nominal_rate:
             yield "Angle", "not recorded; the nominal rate is used"
     else:
-        rate_deviation = run.rate / run.nominal_rate - 1.0
+        relative_deviation = run.rate / run.nominal_rate - 1.0
         yield (
             "Rate",
             f"{format_estimate(run.rate, run.u_rate, 'rad/s')}, nominal {run.nominal_rate:.7g} "
-            f"({'+' if rate_deviation >= 0.0 else ''}{format_number(rate_deviation, 2)})",
+            f"({'+' if relative_deviation >= 0.0 else ''}{format_number(relative_deviation, 2)})",
         )
         yield "Rate drift", f"{format_number(run.drift or 0.0)} 1/s"
         yield "Ripple", _format_ripple(run)
-        rms = f"{format_number(run.angle_rms)} rad" if run.angle_rms else "-"
-        yield "Angle residuals", f"rms {rms}"
+        rms_text = f"{format_number(run.angle_rms)} rad" if run.angle_rms else "-"
+        yield "Angle residuals", f"rms {rms_text}"
     yield "Rejected or empty", f"{run.outliers} outliers, {run.empty} empty cells"
     for name, mean in run.means.items():
-        averaging = f" over {mean.revolutions} revolutions" if mean.revolutions else ""
-        yield f"Mean of {name}", f"{format_estimate(mean.value, mean.u, 'g')}{averaging}"
+        averaging_text = f" over {mean.revolutions} revolutions" if mean.revolutions else ""
+        yield f"Mean of {name}", f"{format_estimate(mean.value, mean.u, 'g')}{averaging_text}"
     for name, residual in run.residuals.items():
-        stated_noise = f", stated {format_number(residual.stated)}" if residual.stated else ""
-        p_value = "" if residual.p is None else f", p = {format_number(residual.p, 2)}"
+        stated_noise_text = f", stated {format_number(residual.stated)}" if residual.stated else ""
+        p_text = "" if residual.p is None else f", p = {format_number(residual.p, 2)}"
         yield (
             f"Residuals of {name}",
-            f"rms {format_number(residual.rms)} {residual.unit}{stated_noise}; "
-            f"{residual.ratio:.3f} times the noise{p_value}",
+            f"rms {format_number(residual.rms)} {residual.unit}{stated_noise_text}; "
+            f"{residual.ratio:.3f} times the noise{p_text}",
         )
 
 
@@ -177,15 +184,16 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
             names = ", ".join(run.poses.outlying)
             yield Paragraph(f"{run.run}: poses that deviate from the model: {names}", "warning")
         if run.poses is not None and run.poses.missing:
-            missing = "; ".join(run.poses.missing)
-            yield Paragraph(f"{run.run}: add poses with {missing}")
+            missing_text = "; ".join(run.poses.missing)
+            yield Paragraph(f"{run.run}: add poses with {missing_text}")
     if state.trouble:
         yield Paragraph(state.trouble, "warning")
-    goals = {goal.name: goal for goal in state.goals}
+    goal_by_name = {goal.name: goal for goal in state.goals}
     columns = [Column("Coefficient"), Column("So far", "right")]
-    columns += [Column("Goal", wraps=True)] * bool(goals)
+    columns += [Column("Goal", wraps=True)] * bool(goal_by_name)
     rows = (
-        (c.name, _format_estimate(c), _format_goal(goals.get(c.name))) for c in state.coefficients
+        (c.name, _format_estimate(c), _format_goal(goal_by_name.get(c.name)))
+        for c in state.coefficients
     )
     yield Table(tuple(columns), tuple(row[: len(columns)] for row in rows))
     if state.met:
@@ -195,14 +203,14 @@ def watch_blocks(state: WatchState) -> Iterator[Block]:
 
 
 def _watch_row(run: RunState) -> tuple[str, ...]:
-    ratio = ", ".join(f"{r.ratio:.3f}" for r in run.residuals.values())
+    ratio_text = ", ".join(f"{r.ratio:.3f}" for r in run.residuals.values())
     rate = "" if run.rate is None else f"{run.rate:.7g}"
-    ripple = ""
+    ripple_text = ""
     if run.rate is not None:
-        ripple = (
+        ripple_text = (
             "none detected" if run.ripple is None else format_number(run.ripple / abs(run.rate), 2)
         )
-    return run.run, _format_progress(run), rate, ripple, ratio
+    return run.run, _format_progress(run), rate, ripple_text, ratio_text
 
 
 def _format_progress(run: RunState) -> str:
@@ -239,7 +247,7 @@ def _format_goal(goal: GoalState | None) -> str:
 FILE_DESCRIPTION: Final = "plots of noise"
 
 #: Stride of the averaging times in the table, which are then an octave apart.
-_TABLE_STRIDE: Final = 2
+_ALLAN_TABLE_STRIDE: Final = 2
 
 
 def noise_blocks(result: NoiseResult) -> Iterator[Block]:
@@ -267,8 +275,8 @@ def noise_blocks(result: NoiseResult) -> Iterator[Block]:
     if result.unused:
         yield Paragraph(f"Columns not used: {', '.join(result.unused)}.", "quiet")
     if any(signal.in_g for signal in result.signals):
-        gravity = format_number(result.gravity, 9)
-        yield Paragraph(f"Conversions between g and m/s^2 use g = {gravity} m/s^2.", "quiet")
+        gravity_text = format_number(result.gravity, 9)
+        yield Paragraph(f"Conversions between g and m/s^2 use g = {gravity_text} m/s^2.", "quiet")
 
 
 def _display_unit(unit: str, signal: SignalNoise, gravity: float) -> tuple[str, float]:
@@ -277,27 +285,29 @@ def _display_unit(unit: str, signal: SignalNoise, gravity: float) -> tuple[str, 
 
 
 def _summary_sentence(signal: SignalNoise, gravity: float) -> str:
-    size = signal.components["acceleration"]
-    unit, factor = _display_unit(size.unit, signal, gravity)
-    white_noise = (
-        f"N = {format_number(size.value * factor)} {unit}"
-        if size.value is not None
-        else f"N is below {_format_scaled(size.high, factor)} {unit}"
+    noise_size = signal.components["acceleration"]
+    unit, factor = _display_unit(noise_size.unit, signal, gravity)
+    white_noise_text = (
+        f"N = {format_number(noise_size.value * factor)} {unit}"
+        if noise_size.value is not None
+        else f"N is below {_format_scaled(noise_size.high, factor)} {unit}"
     )
-    bias_components = []
+    bias_component_texts = []
     for key in BIAS_COMPONENTS_BY_KEY:
         component = signal.components[key]
         unit, factor = _display_unit(component.unit, signal, gravity)
         if component.value is not None:
             symbol = COMPONENTS_BY_KEY[key].symbol
-            bias_components.append(f"{symbol} = {format_number(component.value * factor)} {unit}")
+            bias_component_texts.append(
+                f"{symbol} = {format_number(component.value * factor)} {unit}"
+            )
     bias_text = (
-        f", {' and '.join(bias_components)}"
-        if bias_components
+        f", {' and '.join(bias_component_texts)}"
+        if bias_component_texts
         else "; no noise at lower frequencies detected"
     )
     rate = format_number(signal.sampling_rate, 5)
-    return f"{white_noise}{bias_text}, in {signal.seconds:.5g} s at {rate} Hz."
+    return f"{white_noise_text}{bias_text}, in {signal.seconds:.5g} s at {rate} Hz."
 
 
 def _format_scaled(value: float | None, factor: float) -> str:
@@ -306,16 +316,18 @@ def _format_scaled(value: float | None, factor: float) -> str:
 
 def _component_table(signal: SignalNoise, gravity: float) -> Table:
     rows = []
-    for key, size in signal.components.items():
-        unit, factor = _display_unit(size.unit, signal, gravity)
-        value = "not detected" if size.value is None else format_number(size.value * factor)
+    for key, noise_size in signal.components.items():
+        unit, factor = _display_unit(noise_size.unit, signal, gravity)
+        value = (
+            "not detected" if noise_size.value is None else format_number(noise_size.value * factor)
+        )
         component = COMPONENTS_BY_KEY.get(key)
-        suffix = component.symbol if component else "per sample"
-        name = f"{component_name(key)}, {suffix}"
-        rows.append((name, value, _format_interval(size, factor), unit))
+        symbol_text = component.symbol if component else "per sample"
+        name = f"{component_name(key)}, {symbol_text}"
+        rows.append((name, value, _format_interval(noise_size, factor), unit))
     unit, factor = _display_unit("m/s^2/s", signal, gravity)
-    drift = format_estimate(signal.drift * factor, signal.u_drift * factor)
-    rows.append(("bias drift", drift, "", unit))
+    drift_text = format_estimate(signal.drift * factor, signal.u_drift * factor)
+    rows.append(("bias drift", drift_text, "", unit))
     columns = (
         Column("Component", wraps=True),
         Column("Size", "right"),
@@ -326,12 +338,12 @@ def _component_table(signal: SignalNoise, gravity: float) -> Table:
     return Table(columns, tuple(rows), frozenset(quiet_rows))
 
 
-def _format_interval(size: NoiseSize, factor: float) -> str:
-    if size.high is None:
-        return f"above {_format_scaled(size.low, factor)}" if size.low > 0.0 else "any"
-    if size.low == 0.0:
-        return f"below {_format_scaled(size.high, factor)}"
-    return f"{_format_scaled(size.low, factor)} to {_format_scaled(size.high, factor)}"
+def _format_interval(noise_size: NoiseSize, factor: float) -> str:
+    if noise_size.high is None:
+        return f"above {_format_scaled(noise_size.low, factor)}" if noise_size.low > 0.0 else "any"
+    if noise_size.low == 0.0:
+        return f"below {_format_scaled(noise_size.high, factor)}"
+    return f"{_format_scaled(noise_size.low, factor)} to {_format_scaled(noise_size.high, factor)}"
 
 
 def _line_table(signal: SignalNoise, gravity: float) -> Table:
@@ -362,7 +374,7 @@ def _allan_table(signal: SignalNoise, gravity: float) -> Table:
             format_number(point.dof),
             format_number(point.expected * factor),
         )
-        for point in signal.allan[::_TABLE_STRIDE]
+        for point in signal.allan[::_ALLAN_TABLE_STRIDE]
     )
     titles = ("Averaging time, s", f"Allan deviation, {unit}", "95 % interval")
     columns = (*titles, "Degrees of freedom", "Calculated from the components")
@@ -372,7 +384,7 @@ def _allan_table(signal: SignalNoise, gravity: float) -> Table:
 def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
     """Return plots of the Allan deviation and the spectrum of a column and its components."""
     unit, factor = _display_unit("m/s^2", signal, gravity)
-    tau = tuple(point.tau for point in signal.allan)
+    taus = tuple(point.tau for point in signal.allan)
     allan_plot = Plot(
         f"{signal.name}: overlapping Allan deviation",
         "averaging time, s",
@@ -380,7 +392,7 @@ def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
         (
             PlotSeries(
                 "record, 95 %",
-                tau,
+                taus,
                 tuple(point.deviation * factor for point in signal.allan),
                 tuple(point.low * factor for point in signal.allan),
                 tuple(point.high * factor for point in signal.allan),
@@ -389,7 +401,7 @@ def noise_plots(signal: SignalNoise, gravity: float) -> list[Plot]:
             ),
             PlotSeries(
                 "components",
-                tau,
+                taus,
                 tuple(point.expected * factor for point in signal.allan),
                 colour=1,
             ),

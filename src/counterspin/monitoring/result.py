@@ -138,7 +138,7 @@ class CheckedRun(ReportableResult):
 
 
 #: SI unit -> display unit for records in g, and factor after division by gravity.
-_G_UNITS: Final = {
+_UNITS_IN_G: Final = {
     "m/s^2/Hz^0.5": ("ug/Hz^0.5", 1e6),
     "m/s^2": ("ug", 1e6),
     "m/s^2/s^0.5": ("ug/h^0.5", 60e6),
@@ -151,8 +151,8 @@ def noise_display_unit(unit: str, is_in_g: bool, gravity: float) -> tuple[str, f
 
     is_in_g: Whether the signal was recorded in g.
     """
-    if is_in_g and unit in _G_UNITS:
-        name, factor = _G_UNITS[unit]
+    if is_in_g and unit in _UNITS_IN_G:
+        name, factor = _UNITS_IN_G[unit]
         return name, factor / gravity
     return unit, 1.0
 
@@ -236,11 +236,11 @@ class NoiseResult(ReportableResult):
                 for signal in sizes
                 if signal is not None
             ]
-            known_values = [value for value in values if value is not None]
-            if not known_values or len(known_values) < len(sizes):
+            detected_values = [value for value in values if value is not None]
+            if not detected_values or len(detected_values) < len(sizes):
                 raise RecordError(
                     f"{self.record}: the record gives no upper limit of {name} for every column",
                     code="missing-in-result",
                 )
-            max_values.append(max(known_values))
+            max_values.append(max(detected_values))
         return max_values[0], max_values[1]

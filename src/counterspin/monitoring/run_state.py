@@ -55,21 +55,21 @@ from counterspin.triads.record_poses import LocatedPose
 
 
 def make_run_state(
-    campaign: Campaign, observed: ObservedRun, views: Sequence[AccelerometerView]
+    campaign: Campaign, observed_run: ObservedRun, views: Sequence[AccelerometerView]
 ) -> RunState:
     """Return the state of a run.
 
     views: Views of a fit with the run, by accelerometer; empty without a fit.
     """
-    run = observed.run
+    run = observed_run.run
     return RunState(
         run=run.name,
         record=record_name(run.record, campaign.folder),
         state="read",
         stated_seconds=run.duration,
         nominal_rate=run.rate,
-        **report_fields(observed.record.report, observed.record.time),
-        **rotation_fields(observed.rotation),
+        **report_fields(observed_run.record.report, observed_run.record.time),
+        **rotation_fields(observed_run.rotation),
         residuals={
             view.name: state
             for view in views
@@ -99,13 +99,15 @@ def rotation_fields(rotation: SpindleFit | None) -> dict[str, Any]:
     """Return the fields of `RunState` that follow from the recorded angle."""
     if rotation is None:
         return {}
-    ripple = max(rotation.spindle.ripples, key=lambda component: component.amplitude, default=None)
+    largest_ripple = max(
+        rotation.spindle.ripples, key=lambda component: component.amplitude, default=None
+    )
     return {
         "rate": rotation.spindle.rate,
         "u_rate": rotation.u_rate,
         "drift": rotation.spindle.drift,
-        "ripple": ripple.amplitude if ripple else None,
-        "harmonic": ripple.harmonic if ripple else None,
+        "ripple": largest_ripple.amplitude if largest_ripple else None,
+        "harmonic": largest_ripple.harmonic if largest_ripple else None,
         "angle_rms": rotation.rms,
     }
 
@@ -138,11 +140,11 @@ def run_remarks(
     """Return remarks on a run, in sentences, and True if the run has no faults."""
     faults, warnings = list[str](), list[str]()
     if state.rate is not None:
-        rate_deviation = state.rate / state.nominal_rate - 1.0
-        if abs(rate_deviation) > MAX_RATE_DIFFERENCE:
+        relative_deviation = state.rate / state.nominal_rate - 1.0
+        if abs(relative_deviation) > MAX_RATE_DIFFERENCE:
             faults.append(
                 f"The spindle turned at {state.rate:.6f} rad/s instead of the nominal "
-                f"{state.nominal_rate:.6f} rad/s ({100 * rate_deviation:+.2f} %)."
+                f"{state.nominal_rate:.6f} rad/s ({100 * relative_deviation:+.2f} %)."
             )
     if state.stated_seconds and state.seconds < COMPLETE_FRACTION * state.stated_seconds:
         faults.append(
@@ -152,9 +154,11 @@ def run_remarks(
     if state.outliers > MAX_OUTLIER_SHARE * max(state.rows, 1) * max(len(views), 1):
         faults.append(f"{state.outliers} of {state.rows} samples are outliers.")
     for view in views:
-        findings = [f"{view.name}: {text}" for text in view.diagnostics.findings]
+        finding_texts = [f"{view.name}: {text}" for text in view.diagnostics.findings]
         p = view.diagnostics.lack_of_fit_p if view.diagnostics.noise_given else None
-        (faults if p is not None and p < CHI_SQUARE_SIGNIFICANCE else warnings).extend(findings)
+        (faults if p is not None and p < CHI_SQUARE_SIGNIFICANCE else warnings).extend(
+            finding_texts
+        )
     return [*faults, *warnings, *notes], not faults
 
 
@@ -167,7 +171,7 @@ class CurrentFit:
     data: ReadingData = field(default_factory=ReadingData)  #: Readings and poses in it.
 
     @property
-    def posed(self) -> tuple[FittedReadings, ...]:
+    def pose_groups(self) -> tuple[FittedReadings, ...]:
         """Fitted poses of its triad."""
         groups = (group for group in self.data.groups if isinstance(group, FittedReadings))
         return tuple(group for group in groups if group.readings.triad)
@@ -226,7 +230,7 @@ def resolve_goals(
 def _parse_target(campaign: Campaign, name: str, target_u: float | str) -> str:
     """Return the target u with its unit, which defaults to that of the coefficient."""
     try:
-        number = float(target_u)
+        target_value = float(target_u)
     except ValueError:
         return str(target_u)
     symbols = [
@@ -234,7 +238,7 @@ def _parse_target(campaign: Campaign, name: str, target_u: float | str) -> str:
         for target_u in make_unknowns(campaign).of_interest
         if name in (target_u.name, target_u.symbol)
     ]
-    return f"{number!r} {unit_of(symbols[0])}" if symbols else str(target_u)
+    return f"{target_value!r} {unit_of(symbols[0])}" if symbols else str(target_u)
 
 
 def current_estimates(fit: CurrentFit, names: Sequence[str]) -> list[CurrentEstimate]:
@@ -266,7 +270,7 @@ def undetermined_estimates(campaign: Campaign, names: Sequence[str]) -> list[Cur
     ]
 
 
-def displayed_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
+def list_displayed_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
     """Return the displayed names: each K_II, the parameters of a triad in poses, and goals."""
     triad_accelerometers = (
         campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
@@ -299,7 +303,7 @@ def goal_states(
 
 
 #: Negligible prior information, in poses, that makes the information matrix regular.
-_NEGLIGIBLE_PRIOR: Final = 1e-9
+_PRIOR_INFORMATION: Final = 1e-9
 
 #: Largest number of named directions; a triad without prior information needs nine.
 _MAX_DIRECTIONS: Final = 12
@@ -337,7 +341,7 @@ def make_poses_state(
             else None,
             outlying=[
                 outlier.name
-                for group in (fit.posed if fit else ())
+                for group in (fit.pose_groups if fit else ())
                 for outlier in group.outliers()
                 if outlier.name in names
             ],
@@ -352,7 +356,7 @@ def pose_remarks(
     """Return remarks on a record of poses, in sentences, and True if it is consistent."""
     pose_record = located_poses[0].record
     assert pose_record is not None
-    findings = pose_findings(fit.estimate.fit, fit.posed) if fit else []
+    findings = pose_findings(fit.estimate.fit, fit.pose_groups) if fit else []
     warnings = [
         *pose_record.poses.warnings,
         *pose_record.poses.rejected,
@@ -372,13 +376,13 @@ def find_missing_directions(
     Canadian J. Math. 12 (1960) 363).
     """
     model = fit.estimate.fit.model if fit else make_unknowns(campaign)
-    point = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
+    expected_values = fit.estimate.fit.solution.estimate if fit else np.zeros(len(model.unknowns))
     group = make_group(campaign, [located_pose.pose for located_pose in located_poses])
     directions = upward_directions(group.accelerometers)
     priors = [
         {
             unknown_term.symbol: unknown_term.nominal + float(value)
-            for unknown_term, value in zip(model.unknowns, point, strict=True)
+            for unknown_term, value in zip(model.unknowns, expected_values, strict=True)
             if unknown_term.owner == name and unknown_term.symbol in TERMS
         }
         for name in group.accelerometers
@@ -391,27 +395,27 @@ def find_missing_directions(
         for index, unknown_term in enumerate(model.of_interest)
         if unknown_term.owner in group.accelerometers
     ]
-    pose_rows = group.linearize(model, point).design[:, columns]
-    candidate_rows = candidate_poses.linearize(model, point).design[:, columns]
-    information = pose_rows.T @ pose_rows + _NEGLIGIBLE_PRIOR * np.eye(len(columns))
-    missing: list[str] = []
-    while len(missing) < _MAX_DIRECTIONS:
+    pose_rows = group.linearize(model, expected_values).design[:, columns]
+    candidate_rows = candidate_poses.linearize(model, expected_values).design[:, columns]
+    information = pose_rows.T @ pose_rows + _PRIOR_INFORMATION * np.eye(len(columns))
+    missing_directions: list[str] = []
+    while len(missing_directions) < _MAX_DIRECTIONS:
         # Variance of |f| in each direction, relative to that of a single pose.
         relative_variances = np.einsum(
             "np,pn->n", candidate_rows, np.linalg.solve(information, candidate_rows.T)
         )
-        index_of_max = int(np.argmax(relative_variances))
-        if relative_variances[index_of_max] <= 1.0:
+        worst_index = int(np.argmax(relative_variances))
+        if relative_variances[worst_index] <= 1.0:
             break
-        missing.append(describe_upward_direction(directions[index_of_max]))
-        information += np.outer(candidate_rows[index_of_max], candidate_rows[index_of_max])
-    return missing
+        missing_directions.append(describe_upward_direction(directions[worst_index]))
+        information += np.outer(candidate_rows[worst_index], candidate_rows[worst_index])
+    return missing_directions
 
 
 def _pose_residuals(fit: CurrentFit) -> Iterator[tuple[str, float]]:
     """Yield the name of each pose, and its residual of |f|, g."""
     model, point = fit.estimate.fit.model, fit.estimate.fit.solution.estimate
-    for group in fit.posed:
+    for group in fit.pose_groups:
         poses = group.readings
         assert isinstance(poses, TriadPoses)
         gain = poses.at(model, point).gain

@@ -19,9 +19,9 @@ from counterspin.monitoring.result import CurrentEstimate, RunState, WatchState
 from counterspin.monitoring.run_state import (
     CurrentFit,
     current_estimates,
-    displayed_names,
     fit_runs,
     goal_states,
+    list_displayed_names,
     make_poses_state,
     make_run_state,
     resolve_goals,
@@ -108,8 +108,8 @@ class _Schedule:
     pace: Pace
     fit_due: float = 0.0
 
-    def schedule_fit(self, cost: float) -> None:
-        self.fit_due = time.monotonic() + max(self.pace.interval, cost / self.pace.share)
+    def schedule_fit(self, fit_seconds: float) -> None:
+        self.fit_due = time.monotonic() + max(self.pace.interval, fit_seconds / self.pace.share)
 
     def wait(self) -> None:
         time.sleep(self.pace.interval)
@@ -120,16 +120,16 @@ def _iterate_states(
 ) -> Iterator[WatchState]:
     observer, schedule = Observer(campaign, is_growing=True), _Schedule(pace)
     events: list[str] = []
-    is_due = True
+    is_fit_due = True
     while True:
-        changed, new_events = observer.poll()
+        has_changed, new_events = observer.poll()
         events += new_events
-        is_due |= changed
-        if is_due and time.monotonic() >= schedule.fit_due:
-            fit_start = time.process_time()
+        is_fit_due |= has_changed
+        if is_fit_due and time.monotonic() >= schedule.fit_due:
+            fit_start_time = time.process_time()
             state = _make_watch_state(campaign, observer, goals, tuple(events))
-            schedule.schedule_fit(time.process_time() - fit_start)
-            events, is_due = [], False
+            schedule.schedule_fit(time.process_time() - fit_start_time)
+            events, is_fit_due = [], False
             yield state
             if once or state.complete:
                 return
@@ -146,12 +146,12 @@ def _make_watch_state(
         if observed_runs or usable_campaign.readings or usable_campaign.posed:
             try:
                 fit = fit_runs(usable_campaign, observed_runs)
-                estimates = current_estimates(fit, displayed_names(campaign, goals))
+                estimates = current_estimates(fit, list_displayed_names(campaign, goals))
             except CounterspinError as error:
                 fit_error = str(error)
         runs = _make_run_states(campaign, observer, observed_runs, fit)
     if not estimates:
-        estimates = undetermined_estimates(campaign, displayed_names(campaign, goals))
+        estimates = undetermined_estimates(campaign, list_displayed_names(campaign, goals))
     return WatchState(
         title=campaign.title,
         runs=runs,

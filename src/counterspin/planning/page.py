@@ -188,7 +188,7 @@ def _accelerometer_blocks(
     result: PlanResult, name: str, accelerometer: PlannedAccelerometer
 ) -> Iterator[Block]:
     yield Heading(f"Expected uncertainties for {name}")
-    rows, dimmed_rows = [], set()
+    rows, quiet_rows = [], set()
     coefficients = dict(accelerometer.coefficients) | result.platform
     for index, (symbol, coefficient) in enumerate(coefficients.items()):
         rows.append(
@@ -200,7 +200,7 @@ def _accelerometer_blocks(
             )
         )
         if not coefficient.estimated:
-            dimmed_rows.add(index)
+            quiet_rows.add(index)
     yield Table(
         (
             Column("Coefficient"),
@@ -209,7 +209,7 @@ def _accelerometer_blocks(
             Column("Sources", wraps=True),
         ),
         tuple(rows),
-        frozenset(dimmed_rows),
+        frozenset(quiet_rows),
     )
     for confounded_terms in accelerometer.confounded:
         yield Paragraph(
