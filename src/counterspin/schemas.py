@@ -70,16 +70,16 @@ def _document_schema(model: type[BaseModel]) -> JsonSchema:
 
 def _plan_schema() -> JsonSchema:
     """Return the schema of plans of records and plans of readings."""
-    record_plan, reading_plan = (
+    record_schema, reading_schema = (
         _document_schema(PlanDocument),
         _document_schema(ReadingPlanDocument),
     )
-    definitions = record_plan.pop("$defs") | reading_plan.pop("$defs")
+    definitions = record_schema.pop("$defs") | reading_schema.pop("$defs")
     return {
         "description": "Objective and limits of a plan.",
         "if": {"required": ["stations"]},
-        "then": reading_plan,
-        "else": record_plan,
+        "then": reading_schema,
+        "else": record_schema,
         "$defs": definitions,
     }
 
@@ -95,13 +95,13 @@ def _result_schema(result: type[ResultFile]) -> JsonSchema:
 
 def collect_models(model: type) -> dict[str, type]:
     """Return name -> class, for a class and all classes in the types of its fields."""
-    models, pending = {model.__name__: model}, [model]
-    while pending:
-        for hint in field_types(pending.pop()).values():
+    models, pending_models = {model.__name__: model}, [model]
+    while pending_models:
+        for hint in field_types(pending_models.pop()).values():
             new_models = {
                 nested_model.__name__: nested_model for nested_model in iterate_models(hint)
             }
-            pending += [
+            pending_models += [
                 nested_model for name, nested_model in new_models.items() if name not in models
             ]
             models |= new_models

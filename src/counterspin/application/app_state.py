@@ -100,7 +100,7 @@ class AppState:
             raise NotFoundError(f"{name}: file not found")
         return path
 
-    def description(self, name: str) -> Path:
+    def description_path(self, name: str) -> Path:
         """Return the description of the campaign in a folder."""
         return self.file(f"{name}/{DESCRIPTION_NAME}" if name else DESCRIPTION_NAME)
 
@@ -108,7 +108,7 @@ class AppState:
         """Return the campaign of a folder; all of its files must be in the served folder."""
         from counterspin.campaign.description import read_campaign
 
-        path = self.description(name)
+        path = self.description_path(name)
         document = load_document(path)
         self.require_inside(path.parent, document)
         # A table of readings is also part of the description.

@@ -202,7 +202,7 @@ def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
 
     files: Names of the records, relative to the served folder.
     """
-    description = app.description(name)
+    description = app.description_path(name)
     description_text = app.folder.read(app.folder.name(description))
     document = load_document(description)
     app.require_inside(description.parent, document)
@@ -228,7 +228,7 @@ def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
 
 def _campaign_folder(app: AppState, name: str) -> Path:
     """Return a campaign's folder; PathForbiddenError if it contains or is a link."""
-    source = app.description(name).parent
+    source = app.description_path(name).parent
     if source == app.folder.root:
         raise RequestError(
             "this campaign is the served folder itself; use your file manager to copy or move "
@@ -262,7 +262,7 @@ def _check_new_folder(app: AppState, name: str, to: str) -> Path:
     target = app.folder.path(to)
     if target == app.folder.root or target.exists():
         raise RequestError(f"{to or 'this folder'} already exists; choose another name")
-    source = app.description(name).parent
+    source = app.description_path(name).parent
     if target.is_relative_to(source):
         raise RequestError(f"{to} is inside {name}; choose a folder outside {name}")
     try:

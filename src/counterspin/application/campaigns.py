@@ -150,7 +150,7 @@ def _result_entry(app: AppState, path: Path) -> ResultEntry | None:
 
 def _campaign_entry(app: AppState, name: str, results: list[ResultEntry]) -> CampaignEntry:
     """Return a campaign's entry for the list of campaigns."""
-    path = app.description(name)
+    path = app.description_path(name)
     entry: CampaignEntry = {
         "name": name,
         "title": name or app.folder.root.name,
@@ -217,7 +217,7 @@ def _campaign_state(app: AppState, path: Path, entry: CampaignEntry) -> str:
 
 def campaign_overview(app: AppState, name: str) -> CampaignOverview:
     """Return the data for the page of one campaign."""
-    path = app.description(name)
+    path = app.description_path(name)
     files = sorted(file.name for file in path.parent.iterdir() if file.is_file())
     entry = _campaign_entry(app, name, list(_iter_results(app, path.parent, files)))
     description_text = app.folder.read(app.folder.name(path))
@@ -276,7 +276,7 @@ def begin_calibration(
     name: The campaign's folder.
     output: Name of the result file in this folder.
     """
-    path = app.description(name)
+    path = app.description_path(name)
     app.campaign(name)
     if "/" in output or not output.lower().endswith(".json"):
         raise RequestError(

@@ -178,7 +178,7 @@ def _make_expected_document(document: dict[str, Any], path: KeyPath, value: Any)
     changed_document = copy.deepcopy(document)
     table: Any = changed_document
     for key, next_key in pairwise(path):
-        table = _get_or_create(table, key, {} if isinstance(next_key, str) else [])
+        table = _get_or_create_item(table, key, {} if isinstance(next_key, str) else [])
     _assign_value(table, path[-1], value)
     return changed_document
 
@@ -188,16 +188,18 @@ def _set_and_keep_format(document: tomlkit.TOMLDocument, path: KeyPath, value: A
     container: Any = document
     added_keys: list[tuple[Any, str]] = []
     for depth, (key, next_key) in enumerate(pairwise(path)):
-        has_heading = depth == 0 or (depth == 1 and path[0] in _TABLE_SECTIONS)
+        needs_table_heading = depth == 0 or (depth == 1 and path[0] in _TABLE_SECTIONS)
         new_value: Any = tomlkit.aot()
         if isinstance(next_key, str):
             new_value = (
-                tomlkit.table(depth == 0 and key in _TABLE_SECTIONS) if has_heading else None
+                tomlkit.table(depth == 0 and key in _TABLE_SECTIONS)
+                if needs_table_heading
+                else None
             )
             new_value = tomlkit.inline_table() if new_value is None else new_value
         if isinstance(key, str) and key not in container:
             added_keys.append((container, key))
-        container = _get_or_create(container, key, new_value)
+        container = _get_or_create_item(container, key, new_value)
     last_key = path[-1]
     if isinstance(value, dict) and _has_heading(container, path):
         table = tomlkit.table()
@@ -246,7 +248,7 @@ def _has_heading(container: Any, path: KeyPath) -> bool:
     return len(path) <= (2 if path[0] in _TABLE_SECTIONS else 1)
 
 
-def _get_or_create(container: Any, key: str | int, new_value: Any) -> Any:
+def _get_or_create_item(container: Any, key: str | int, new_value: Any) -> Any:
     """Return the value at a key or index; create an empty value if there is none."""
     if isinstance(key, int):
         if key == len(container):
@@ -268,7 +270,7 @@ def _assign_value(container: Any, key: str | int, value: Any) -> None:
 
 def read_campaign_text(app: AppState, name: str) -> EditedFile:
     """Return text, version, form, values and mistakes of a campaign's description."""
-    path = app.description(name)
+    path = app.description_path(name)
     file_version = app.folder.read(app.folder.name(path))
     content = parse_campaign_text(app, path, file_version.text).to_dict()
     return {

@@ -227,7 +227,7 @@ def begin_fit(app: AppState, name: str) -> JobEntry:
 
     name: The campaign's folder.
     """
-    path = app.description(name)
+    path = app.description_path(name)
     app.campaign(name).require_records("a plot of the fit")
     command = calibrate_command(path.parent, path.parent / "result.json", "joint", None)
     _, store_in_cache = app.cache.lookup(*_fit_cache_key(app, name))
@@ -249,7 +249,7 @@ def get_fitted_run(app: AppState, name: str, run: str) -> PlotColumns:
 
 
 def _fit_cache_key(app: AppState, name: str) -> tuple[tuple[str, Path], list[Path]]:
-    path = app.description(name)
+    path = app.description_path(name)
     return ("fit", path), [path, *(run.record for run in app.campaign(name).runs)]
 
 
@@ -322,7 +322,7 @@ def begin_study(app: AppState, name: str, trials: int) -> JobEntry:
     """
     from counterspin.studies.description import read_study
 
-    path = app.description(name)
+    path = app.description_path(name)
     app.campaign(name)
     read_study(path)
     target = app.folder.path(f"{name}/{STUDY_NAME}" if name else STUDY_NAME)
@@ -341,7 +341,7 @@ def get_study_duration(app: AppState, name: str) -> DurationAnswer:
     """
     from counterspin.studies.description import read_study
 
-    path = app.description(name)
+    path = app.description_path(name)
     files = [path, *(run.record for run in app.campaign(name).runs)]
     duration, store_in_cache = app.cache.lookup(("duration", path), files)
     if duration is not None:
@@ -393,7 +393,7 @@ def begin_simulation(app: AppState, name: str, folder: str) -> JobEntry:
 
     name: The campaign's folder.
     """
-    path = app.description(name)
+    path = app.description_path(name)
     app.campaign(name)
     target = app.target_path(folder)
     if not folder:

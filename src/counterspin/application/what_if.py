@@ -180,7 +180,7 @@ def _run_improvement(
 
 def begin_search(app: AppState, name: str) -> JobEntry:
     """Start a search for helpful runs in another attitude; return the job."""
-    path = app.description(name)
+    path = app.description_path(name)
     campaign = app.campaign(name)
     _, store_in_cache = app.cache.lookup(
         ("ways", path), [path, *(run.record for run in campaign.runs)]
@@ -220,7 +220,7 @@ def run_search(connection: Connection, campaign: Path) -> None:
 
 def _get_search_results(app: AppState, name: str) -> dict[str, SuggestedRuns | None] | None:
     """Return the results of the search by accelerometer; None before the search."""
-    path = app.description(name)
+    path = app.description_path(name)
     try:
         files = [path, *(run.record for run in app.campaign(name).runs)]
     except CounterspinError:
@@ -240,7 +240,7 @@ def apply_improvement(
     result: The result file.
     way: "state": add a prior, whose value must be replaced; "runs": add runs to be recorded.
     """
-    source = app.description(name)
+    source = app.description_path(name)
     description_text = app.folder.read(app.folder.name(source))
     text, key = description_text.text, None
     if way == "state":

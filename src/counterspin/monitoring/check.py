@@ -164,7 +164,7 @@ class _SingleCheck:
     remarks: list[str]
     is_good: bool
     fit: CurrentFit | None  # None if the record cannot be used
-    observed: ObservedRun | None = None  # None for poses
+    observed_run: ObservedRun | None = None  # None for poses
 
 
 def _check_single(campaign: Campaign, run: RecordedRun) -> _SingleCheck:
@@ -244,9 +244,9 @@ def _forecast_estimates(
     if not campaign.runs:
         return [], None
     forecast_campaign, sampling_rate = campaign, None
-    if single_check.observed is not None and single_check.fit is not None:
-        duration = float(single_check.observed.record.time[-1])
-        sampling_rate = 1.0 / single_check.observed.record.report.step
+    if single_check.observed_run is not None and single_check.fit is not None:
+        duration = float(single_check.observed_run.record.time[-1])
+        sampling_rate = 1.0 / single_check.observed_run.record.report.step
         runs = (
             listed_run.model_copy(update={"duration": duration})
             if listed_run is run
@@ -255,7 +255,7 @@ def _forecast_estimates(
         )
         noise = fitted_noise(single_check.fit.estimate.fit)
         forecast_campaign = apply_observations(
-            replace(campaign, runs=tuple(runs)), [single_check.observed], noise
+            replace(campaign, runs=tuple(runs)), [single_check.observed_run], noise
         )
     runs_without_duration = [
         listed_run.name for listed_run in forecast_campaign.runs if listed_run.duration is None

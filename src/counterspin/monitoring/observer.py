@@ -205,7 +205,7 @@ class _WatchedRun:
     table: GrowingTable | None
     identity: tuple[FileIdentity, ...] | None = None
     record: Record | None = None
-    observed: ObservedRun | None = None
+    observed_run: ObservedRun | None = None
     poses: tuple[LocatedPose, ...] = ()
     temperature: tuple[float, ...] | None = None
     conditions: RunConditions | None = None
@@ -219,7 +219,7 @@ class _WatchedRun:
         return self.run.files if isinstance(self.run, Run) else (self.run.record,)
 
     def reset(self) -> None:
-        self.record = self.observed = None
+        self.record = self.observed_run = None
         self.poses = ()
 
 
@@ -285,12 +285,12 @@ class Observer:
             if watched_run.record is None or not isinstance(watched_run.run, Run):
                 continue
             current_conditions = conditions[watched_run.run.name]
-            if watched_run.observed is None or watched_run.conditions != current_conditions:
-                watched_run.observed = observe_run(
+            if watched_run.observed_run is None or watched_run.conditions != current_conditions:
+                watched_run.observed_run = observe_run(
                     usable_campaign, watched_run.run, watched_run.record, current_conditions
                 )
                 watched_run.conditions = current_conditions
-            observed_runs.append(watched_run.observed)
+            observed_runs.append(watched_run.observed_run)
         return usable_campaign, observed_runs
 
     def find_poses(self, name: str) -> tuple[LocatedPose, ...]:

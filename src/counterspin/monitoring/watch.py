@@ -106,10 +106,12 @@ class _Schedule:
     """Times of the next poll and the next fit."""
 
     pace: Pace
-    fit_due: float = 0.0
+    next_fit_time: float = 0.0
 
     def schedule_fit(self, fit_seconds: float) -> None:
-        self.fit_due = time.monotonic() + max(self.pace.interval, fit_seconds / self.pace.share)
+        self.next_fit_time = time.monotonic() + max(
+            self.pace.interval, fit_seconds / self.pace.share
+        )
 
     def wait(self) -> None:
         time.sleep(self.pace.interval)
@@ -125,7 +127,7 @@ def _iterate_states(
         has_changed, new_events = observer.poll()
         events += new_events
         is_fit_due |= has_changed
-        if is_fit_due and time.monotonic() >= schedule.fit_due:
+        if is_fit_due and time.monotonic() >= schedule.next_fit_time:
             fit_start_time = time.process_time()
             state = _make_watch_state(campaign, observer, goals, tuple(events))
             schedule.schedule_fit(time.process_time() - fit_start_time)

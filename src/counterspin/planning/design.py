@@ -88,10 +88,10 @@ class Limits:
 
     def campaign_time(self, design: Design) -> float:
         """Return the total time of a campaign, s."""
-        attitudes = len({run_type.attitude for run_type in design.types})
+        n_attitudes = len({run_type.attitude for run_type in design.types})
         return (
             float(np.sum(design.duration + self.overhead(design.rate)))
-            + max(0, attitudes - 1) * self.attitude_change
+            + max(0, n_attitudes - 1) * self.attitude_change
         )
 
     def nearest_rates(self, rates: Array) -> Array:

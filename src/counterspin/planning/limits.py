@@ -85,13 +85,13 @@ def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
     )
     changes = {"max_runs": math.ceil(max_runs * increase)}
     yield _Limit("runs", f"at most {max_runs} runs", len(design.types) >= max_runs, changes)
-    texts = {
+    text_by_key = {
         "settling": f"settling time {limits.settling:.4g} s per run",
         "spin_up": "spin-up and spin-down time",
         "attitude_change": f"attitude change time {limits.attitude_change:.4g} s",
     }
     has_several_attitudes = len({run_type.attitude for run_type in design.types}) > 1
-    for key, text in texts.items():
+    for key, text in text_by_key.items():
         limit_value = getattr(limits, key)
         is_active = limit_value > 0.0 and (has_several_attitudes or key != "attitude_change")
         yield _Limit(key, text, is_active, {key: limit_value * decrease})
@@ -118,17 +118,17 @@ def _relaxation_gain(search: Search, key: str, limits: Limits, design: Design) -
     """Return the relative decrease of u (or of time) within relaxed limits."""
     predictor = search.predictor
     if search.plan.goal.kind == "target":
-        original_value = math.log(search.limits.campaign_time(design))
+        current_value = math.log(search.limits.campaign_time(design))
     else:
-        original_value = predictor.value(search.criterion, design)
+        current_value = predictor.value(search.criterion, design)
     if key == "sampling_rate":
         sampling_rate = search.plan.sampling_rate * (1.0 + RELAXATION_FRACTION)
         predictor = Predictor(predictor.information.with_sampling_rate(sampling_rate))
     starts = _relaxed_starts(search, key, limits, design)
     relaxed_value = min(
-        original_value, *(_optimised_value(search, predictor, limits, start) for start in starts)
+        current_value, *(_optimised_value(search, predictor, limits, start) for start in starts)
     )
-    return 1.0 - math.exp(relaxed_value - original_value)
+    return 1.0 - math.exp(relaxed_value - current_value)
 
 
 def _relaxed_starts(search: Search, key: str, limits: Limits, design: Design) -> list[Design]:

@@ -253,11 +253,13 @@ def _reject_estimated_noise(noise: Mapping[str, Any], problems: Problems) -> dic
 
 
 def _static_record_sizes(
-    campaign: Campaign, stated: NoiseSettings, problems: Problems
+    campaign: Campaign, stated_noise: NoiseSettings, problems: Problems
 ) -> dict[str, str]:
     """Return [noise] with the values of a record at rest, as strings with units."""
-    sizes = {key: size for key, size in complete_noise_sizes(campaign, stated).items() if size}
-    for key in sizes.keys() & set(BIAS_COMPONENTS_BY_KEY) - stated.model_fields_set:
+    sizes = {
+        key: size for key, size in complete_noise_sizes(campaign, stated_noise).items() if size
+    }
+    for key in sizes.keys() & set(BIAS_COMPONENTS_BY_KEY) - stated_noise.model_fields_set:
         unit = NOISE_UNITS[key]
         problems.add(
             ("noise", "from"),
