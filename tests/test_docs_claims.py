@@ -110,7 +110,7 @@ NUMBERS = [
     ("methods", "exceeds {} of the noise of one row", [design_blocks._MIN_SINGULAR_VALUE]),
     (
         "methods",
-        "With the default of {} ug/g^2 for K_OO of navigation grade",
+        "With the default of {} ug/g^2 for K_OO of a navigation-grade accelerometer",
         [1e6 * TERMS["K_OO"].typical],
     ),
     ("methods", "its stated uncertainty, or with the default of {} arcsec", [ENCODER / ARCSEC]),

@@ -125,8 +125,8 @@ class Repeatability(ResultPart):
     total: float
     #: Reference for the scatter: the mean, or the straight line if the results drift.
     about: Literal["mean", "line"]
-    #: Mean of the results weighted by these variances; if the results drift, the value of the line
-    #: at the mean date.
+    #: Mean of the results, weighted by the inverse of these variances; if the results drift, the
+    #: value of the line at the mean date.
     value: float
     u: float  #: Standard uncertainty of the value.
     not_told: dict[str, str] = {}  #: Components that cannot be determined, each with the reason.
@@ -191,7 +191,7 @@ class History(ReportableResult):
     #: duplicates.
     left_out: list[UnusedResult]
     damaged: list[UnusedResult]  #: Files that cannot be read, each with the reason.
-    passed_over: list[str]  #: JSON files in the folders that are not results.
+    passed_over: list[str]  #: JSON files that are not results, found in the folders.
     notes: list[str]  #: Further remarks on the files, as text.
 
     def plot(self, *, axes: Any = None) -> list[Any]:

@@ -202,7 +202,7 @@ class SignalNoise(ResultPart):
     lines: list[SpectralLine]  #: Spectral lines, most prominent first.
     allan: list[AllanValue]  #: Overlapping Allan deviation after removal of the spectral lines.
     spectrum: list[SpectrumValue]  #: Power spectral density, including the spectral lines.
-    remarks: list[str]  #: Remarks on the use of these figures.
+    remarks: list[str]  #: Remarks on the use of these values.
 
 
 class NoiseResult(ReportableResult):

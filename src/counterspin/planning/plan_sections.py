@@ -157,8 +157,8 @@ class StationsSettings(SettingsSection):
         None,
     )
     up: Annotated[list[Text], Field(min_length=1)] | None = key_field(
-        "axes that point up in each pose; a minus sign means down, and several axes point up "
-        "at equal angles",
+        "axes that point up in each pose; a minus sign means down; several axes in one entry make "
+        "equal angles with the vertical",
         ["X", "-X", "Y - Z"],
         None,
         absent="26 poses: every axis, pair of axes and triple of axes",
@@ -218,9 +218,9 @@ class GoalSettings(SettingsSection):
     """[goal]: objective of the plan."""
 
     minimise: list[Text] | dict[str, Any] | None = key_field(
-        'coefficients whose u the plan minimises, such as `["K_II"]`; for several units, a table '
-        'of values of u that are equally important, such as `{ K_II = "1e-8 g/g^2", K_I = "1e-6 '
-        'g/g" }`',
+        'coefficients whose u the plan minimises, such as `["K_II"]`; if their units differ, a '
+        'table of values of u that are equally important, such as `{ K_II = "1e-8 g/g^2", '
+        'K_I = "1e-6 g/g" }`',
         ["K_II"],
         None,
         absent="`target`",
