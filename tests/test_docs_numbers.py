@@ -185,7 +185,7 @@ ROWS = {
     ],
     "harmful-files": [
         (
-            "unpack to more than {} MB and more than {} times their size",
+            "unpack to more than {} MB and to more than {} times their file size",
             table_files._UNPACKED_BYTES / 1e6,
             table_files._UNPACKED_PER_BYTE,
         ),
