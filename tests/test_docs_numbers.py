@@ -214,7 +214,7 @@ def test_number_in_page_matches_code(name, row):
 
 def test_plan_example_has_time_radius_and_rate_of_paper():
     limits = PLAN["limits"]
-    assert "has the paper's total time, radius and highest rate" in read_text("plan")
+    assert "uses the paper's total time, radius and highest rate" in read_text("plan")
     time = paper.N_STROBES * sum(2.0 * math.pi / rate for rate in paper.RATES)
     assert parse_exact(limits["total_time"], "s") == pytest.approx(time)
     assert parse_exact(limits["highest_rate"], "rad/s") == pytest.approx(max(paper.RATES))
