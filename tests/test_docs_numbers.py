@@ -113,7 +113,7 @@ ROWS = {
             *(100.0 * p for p in result.CONFIDENCE_LEVELS),
         ),
         (
-            "intervals is {} to {} %",
+            "intervals is between {} and {} %",
             *(100.0 * p for p in result._ACCEPTED_COVERAGE),
         ),
         ("its bias does not exceed {} of the stated u", result._MAX_BIAS_RATIO),
@@ -193,7 +193,7 @@ ROWS = {
     ],
     "reports": [
         (
-            "contain {} % of the values of white noise",
+            "contain {} % of the values expected for white noise",
             round(100.0 * (2.0 * normal_cdf(pictures._COVERAGE_FACTOR) - 1.0)),
         ),
         ("`CS-` and {} digits of the result's SHA-256 checksum", DIGITS),
