@@ -87,7 +87,7 @@ CODES: Final[Mapping[str, str]] = {
     "several-sensors": "The rows of a file come from several sensors.",
     "unsigned-numbers": "Signed numbers were written as unsigned numbers.",
     "no-rest": "No rest interval was found in a record of poses.",
-    "not-evaluable": "The rows do not allow the requested evaluation.",
+    "not-evaluable": "The rows are not suitable for the requested evaluation.",
     # Estimation
     "not-identifiable": "The data do not determine the unknowns.",
     "not-determined": "A requested term is not determined by the data.",

@@ -208,7 +208,7 @@ class Item(SettingsSection):
     manufacturer: Text = key_field("manufacturer of the item", "Example Instruments")
     model: Text = key_field("model of the item", "IP-3")
     serial_number: Text = key_field("serial number of the item", "0042")
-    inventory_number: Text | None = key_field("customer's identifier of the item", "INV-7", None)
+    inventory_number: Text | None = key_field("customer's identifier for the item", "INV-7", None)
     state: ItemState | None = key_field(
         "state of the item during the calibration",
         "as received",

@@ -68,7 +68,7 @@ class PairAgreement(ResultPart):
     terms: list[str]  #: Terms that both results determine.
     chi2: float  #: Chi-square of all differences.
     dof: int  #: Degrees of freedom of the differences.
-    #: Probability of a larger chi-square by chance (p-value); ``null`` if there are no degrees of
+    #: Probability of a larger chi-square by chance (p-value); null if there are no degrees of
     #: freedom.
     p: float | None
     shared: list[str]  #: Sources of uncertainty common to both results, in addition to the records.
