@@ -76,8 +76,8 @@ def test_reference_lists_every_public_name_once():
 
 def test_reference_groups_match_docstring():
     groups = FROM_CODE["groups"]()
-    assert "calibrate" in groups["The commands, as functions"]
-    assert "TERMS" in groups["The physics, from the ground up"]
+    assert "calibrate" in groups["Commands as functions"]
+    assert "TERMS" in groups["Physics"]
     assert "RecordError" in groups["Mistakes"]
 
 
