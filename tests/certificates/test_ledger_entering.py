@@ -117,7 +117,9 @@ def run_killed(monkeypatch):
     return kill
 
 
-@pytest.mark.parametrize("moment", ["write_atomically", "_append_entry", "move_into_place"])
+@pytest.mark.parametrize(
+    "moment", ["write_atomically", "_append_certificate_entry", "move_into_place"]
+)
 def test_killed_command_leaves_no_certificate_without_entry(ledger_folder, run_killed, moment):
     arguments = ("r.json", "LAB.toml", "-o", "a.xml")
     run_killed(moment, *arguments)

@@ -17,7 +17,7 @@ from counterspin.certificates.completeness import (
     MIN_EVIDENCE_SHARE,
     MissingEntry,
     missing_administrative_data,
-    missing_evidence,
+    missing_evidence_entry,
     missing_lines,
 )
 from counterspin.certificates.evidence import (
@@ -44,7 +44,7 @@ from counterspin.certificates.pdf_pages import (
     item_rows,
     page_title,
     section_blocks,
-    two_columns_table,
+    two_column_table,
 )
 from counterspin.certificates.schema import Element, check_schema, format_decimal
 from counterspin.certificates.signature import sign_document
@@ -117,8 +117,8 @@ def certify_applied(
     if missing_entries and signer is not None:
         raise CampaignError(source, missing_lines(missing_entries), code="certificate-incomplete")
     issue = replace(
-        make_issue(laboratory, result.content, None, (), draft=bool(missing_entries)),
-        signed=signer is not None,
+        make_issue(laboratory, result.content, None, (), is_draft=bool(missing_entries)),
+        is_signed=signer is not None,
         logo=read_laboratory_logo(laboratory, folder, source),
     )
     if callable(signer):
@@ -140,7 +140,7 @@ def certify_applied(
         entry={"identifier": issue.identifier, "sha256": sha256_hex(xml)},
         signed_by=laboratory.persons[0].name,
         reason="issued",
-        draft=issue.draft,
+        draft=issue.is_draft,
     )
 
 
@@ -162,7 +162,9 @@ def _missing_evidence(lab: Lab, result: AppliedAcceleration) -> Iterator[Missing
     """Yield default uncertainties with a large share of a variance and without evidence."""
     for symbol, (share, level) in _default_shares(result).items():
         if terms_without_evidence([symbol], lab.evidence):
-            yield missing_evidence(symbol, share, f"the acceleration at {format_level(level)}")
+            yield missing_evidence_entry(
+                symbol, share, f"the acceleration at {format_level(level)}"
+            )
 
 
 def _default_shares(result: AppliedAcceleration) -> dict[str, tuple[float, AppliedLevel]]:
@@ -262,7 +264,7 @@ def _build_document(
         traceable=True,
     )
     draft_statement = Statement(
-        "Draft", [certificate_text.DRAFT_STATEMENT] if issue.draft else [], valid=False
+        "Draft", [certificate_text.DRAFT_STATEMENT] if issue.is_draft else [], valid=False
     )
     laboratory_texts = {
         certificate_text.FIXED_TERMS_HEADING,
@@ -301,16 +303,16 @@ def _page_blocks(
 ) -> Iterator[Block]:
     """Yield the pages of the certificate."""
     yield Heading(page_title(issue), 1)
-    if issue.draft:
+    if issue.is_draft:
         yield Paragraph(certificate_text.DRAFT_STATEMENT, "warning")
     yield Paragraph(
         f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this "
         "identifier contains the same values in machine-readable form.",
         "quiet",
     )
-    yield two_columns_table(administrative_rows(lab, issue))
+    yield two_column_table(administrative_rows(lab, issue))
     yield Heading("Calibrated item")
-    yield two_columns_table(item_rows(lab))
+    yield two_column_table(item_rows(lab))
     yield Heading("Method")
     for line in (_METHOD, *certificate_text.deviation_lines(lab.certificate)):
         yield Paragraph(typeset(line))

@@ -32,7 +32,7 @@ from counterspin.campaign.validation import Problems
 from counterspin.certificates.completeness import (
     MissingEntry,
     missing_data,
-    missing_despite_mistakes,
+    missing_data_despite_mistakes,
     section_name,
 )
 from counterspin.certificates.lab import read_lab
@@ -103,7 +103,7 @@ def parse_lab_text(text: str, result: Result) -> EditedText:
     except CampaignError as error:
         problems = _split_problems(error.problems)
         invalid_sections = {section_name(key) for key, _ in problems}
-        missing = missing_despite_mistakes(document, invalid_sections, result)
+        missing = missing_data_despite_mistakes(document, invalid_sections, result)
         return EditedText(text, document, problems, missing=tuple(missing))
     return EditedText(text, document, missing=tuple(missing_data(lab, result)))
 

@@ -78,8 +78,8 @@ def read_amended_certificate(amendment: Amendment) -> tuple[AmendedCertificate, 
     if not amendment.reason.strip():
         raise UsageError("certificate", ["`reason`: give the reason for replacing the certificate"])
     document = read_document(amendment.path)
-    numbers = read_certificate(document, str(amendment.path))
-    if numbers.identifier.startswith("DRAFT-"):
+    certificate = read_certificate(document, str(amendment.path))
+    if certificate.identifier.startswith("DRAFT-"):
         raise RecordError(
             f"{amendment.path} is a draft that was never issued, so it cannot be amended",
             code="wrong-amendment",
@@ -87,7 +87,10 @@ def read_amended_certificate(amendment: Amendment) -> tuple[AmendedCertificate, 
     checksum = hashlib.sha256(document).hexdigest()
     reason = " ".join(amendment.reason.split())
     amended_certificate = AmendedCertificate(
-        numbers.identifier, checksum, reason, earlier_identifiers=numbers.replaced_identifiers
+        certificate.identifier,
+        checksum,
+        reason,
+        earlier_identifiers=certificate.replaced_identifiers,
     )
     return amended_certificate, document
 
@@ -112,9 +115,12 @@ def check_new_identifier(identifier: str, amended_certificate: AmendedCertificat
     )
 
 
-def _is_same_identifier(first: str, second: str) -> bool:
-    normalized = ["".join(normalize("NFKC", text).split()).casefold() for text in (first, second)]
-    return normalized[0] == normalized[1]
+def _is_same_identifier(identifier: str, other_identifier: str) -> bool:
+    normalized_identifiers = [
+        "".join(normalize("NFKC", text).split()).casefold()
+        for text in (identifier, other_identifier)
+    ]
+    return normalized_identifiers[0] == normalized_identifiers[1]
 
 
 def record_changes(
@@ -126,11 +132,11 @@ def record_changes(
 
 def describe_changes(old_document: bytes, new_document: bytes) -> list[str]:
     """Return sentences about the differences between two certificates, numbers first."""
-    old_numbers, new_numbers = (
+    old_certificate, new_certificate = (
         read_certificate(document, "the certificate") for document in (old_document, new_document)
     )
     return [
-        *_number_changes(old_numbers, new_numbers),
+        *_value_changes(old_certificate, new_certificate),
         *_text_changes(
             parse_xml(old_document, "the certificate"), parse_xml(new_document, "the certificate")
         ),
@@ -157,7 +163,7 @@ def amendment_reasons(amended_certificate: AmendedCertificate) -> list[str]:
     return [f"Reason: {amended_certificate.reason}", *earlier_lines]
 
 
-def verify_amended(new_document: bytes, old_path: Path, source: str) -> str:
+def verify_amendment(new_document: bytes, old_path: Path, source: str) -> str:
     """Return the identifier of the replaced certificate; RecordError if it is not amended."""
     checksum_elements = _select_elements(
         parse_xml(new_document, source),
@@ -172,13 +178,13 @@ def verify_amended(new_document: bytes, old_path: Path, source: str) -> str:
             "amended",
             code="wrong-amendment",
         )
-    old_numbers, new_numbers = (
+    old_certificate, new_certificate = (
         read_certificate(old_document, str(old_path)),
         read_certificate(new_document, source),
     )
     if any(
-        _is_same_identifier(new_numbers.identifier, identifier)
-        for identifier in (old_numbers.identifier, *old_numbers.replaced_identifiers)
+        _is_same_identifier(new_certificate.identifier, identifier)
+        for identifier in (old_certificate.identifier, *old_certificate.replaced_identifiers)
     ):
         raise RecordError(
             f"{source} has the identifier of {old_path} or of a certificate that {old_path} "
@@ -186,13 +192,13 @@ def verify_amended(new_document: bytes, old_path: Path, source: str) -> str:
             "certificates",
             code="wrong-amendment",
         )
-    return old_numbers.identifier
+    return old_certificate.identifier
 
 
-def _number_changes(
-    old_numbers: CertificateNumbers, new_numbers: CertificateNumbers
+def _value_changes(
+    old_certificate: CertificateNumbers, new_certificate: CertificateNumbers
 ) -> Iterator[str]:
-    old_values, new_values = _certified_values(old_numbers), _certified_values(new_numbers)
+    old_values, new_values = _certified_values(old_certificate), _certified_values(new_certificate)
     for name in dict.fromkeys([*old_values, *new_values]):
         coefficient_versions = [
             values[name].coefficients if name in values else {}
@@ -206,10 +212,10 @@ def _number_changes(
                 yield f"{symbol} of {name} was {old_text} and is now {new_text}."
 
 
-def _certified_values(numbers: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:
+def _certified_values(certificate: CertificateNumbers) -> dict[str, CertifiedAccelerometer]:
     """Return the accelerometers and the triad that have certified values."""
-    triad = numbers.triad
-    return numbers.accelerometers | ({"the triad": triad.parameters} if triad else {})
+    triad = certificate.triad
+    return certificate.accelerometers | ({"the triad": triad.parameters} if triad else {})
 
 
 def _format_coefficient(coefficient: Any) -> str:
@@ -239,13 +245,15 @@ def _text_changes(old_root: Element, new_root: Element) -> Iterator[str]:
 
 
 def _statement_texts(root: Element) -> dict[str, str]:
-    elements = _select_elements(root, f"{_ADMINISTRATIVE_PATH}/dcc:statements/dcc:statement")
-    texts: dict[str, str] = {}
-    for statement in elements:
+    statement_elements = _select_elements(
+        root, f"{_ADMINISTRATIVE_PATH}/dcc:statements/dcc:statement"
+    )
+    text_by_name: dict[str, str] = {}
+    for statement in statement_elements:
         name = " ".join(statement[0].itertext()).strip()
         if name != "Amendment":
-            texts[name] = texts.get(name, "") + _element_text(statement)
-    return texts
+            text_by_name[name] = text_by_name.get(name, "") + _element_text(statement)
+    return text_by_name
 
 
 def _section_text(root: Element, path: str) -> str:

@@ -194,7 +194,7 @@ def _load_template() -> Template:
         "to_si": to_si,
         "coefficients_in_si": coefficients_in_si,
         "output_coefficients_in_si": output_coefficients_in_si,
-        "covariance_data": _covariance_data,
+        "covariance_data": _covariance_context,
         "triad_title": triad_title,
         "triad_parameters_in_si": triad_parameters_in_si,
         "triad_output": triad_output_lines,
@@ -214,8 +214,8 @@ def _dcc_version(version: str) -> str:
 
 
 def _significant_digit(value: float, u: float) -> int | None:
-    rounded = round_to_uncertainty(value, u)
-    return None if rounded is None else rounded.last_digit
+    rounded_value = round_to_uncertainty(value, u)
+    return None if rounded_value is None else rounded_value.last_digit
 
 
 def _reading_rates(result: Result) -> list[tuple[str, float]]:
@@ -234,7 +234,7 @@ def _joint_covariance(result: Result, names: Sequence[str]) -> dict[str, Any] | 
     """Return the covariance between accelerometers due to g, radius and platform."""
     if len(names) < 2:
         return None
-    return _covariance_data(
+    return _covariance_context(
         result.correlation,
         {
             f"{name}.{symbol}": estimate
@@ -244,7 +244,7 @@ def _joint_covariance(result: Result, names: Sequence[str]) -> dict[str, Any] | 
     )
 
 
-def _covariance_data(
+def _covariance_context(
     correlation: Correlation | None, estimates: Mapping[str, SiEstimate]
 ) -> dict[str, Any] | None:
     """Return template data of the covariance of the coefficients; None for fewer than two."""

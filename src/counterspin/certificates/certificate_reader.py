@@ -79,7 +79,7 @@ def _read_attached_xml(path: Path) -> bytes:
     except MemoryError:
         raise
     except Exception as error:  # any error of pypdf and zlib on a damaged file
-        raise _damage_error(path, error) from error
+        raise _damaged_file_error(path, error) from error
     if len(attachments) != 1:
         count_text = "no XML file is" if not attachments else (f"{len(attachments)} XML files are")
         raise RecordError(
@@ -99,10 +99,10 @@ def _read_pdf_signature_status(path: Path, signer_certificate: bytes) -> PdfSign
     except (CounterspinError, MemoryError):
         raise
     except Exception as error:  # any error of pyHanko on a damaged file
-        raise _damage_error(path, error) from error
+        raise _damaged_file_error(path, error) from error
 
 
-def _damage_error(path: Path, error: Exception) -> RecordError:
+def _damaged_file_error(path: Path, error: Exception) -> RecordError:
     reason = str(error)[:MAX_REASON_LENGTH] or type(error).__name__
     return DamagedFileError(f"{path} is not a PDF, or it is damaged ({reason})")
 
@@ -206,7 +206,7 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
             ),
             gravity=gravity,
             accelerometers={
-                _accelerometer_name(root, element): _read_values(
+                _accelerometer_name(root, element): _read_quantities(
                     _select_elements(element, _QUANTITY_PATH), gravity
                 )
                 for element in _select_elements(root, _RESULT_PATH)
@@ -247,7 +247,7 @@ def _replaced_identifiers(root: Element) -> Iterator[str]:
 def _read_triad(element: Element, gravity: float) -> CertifiedTriad:
     """Read a triad; ValueError if matrix or bias contradict the parameters."""
     names = tuple(_single_text(element, _NAME_PATH).removeprefix(TRIAD_TITLE_PREFIX).split(", "))
-    parameters = _read_values(
+    parameters = _read_quantities(
         _select_elements(element, f"dcc:results/dcc:result{_PARAMETER_FILTER}/{_DATA_PATH}"),
         gravity,
     )
@@ -303,7 +303,7 @@ def _triad_parameters(
     }
 
 
-def _read_values(quantities: Sequence[Element], gravity: float) -> CertifiedAccelerometer:
+def _read_quantities(quantities: Sequence[Element], gravity: float) -> CertifiedAccelerometer:
     coefficients = {}
     terms: tuple[str, ...] = ()
     covariance = np.empty((0, 0))
@@ -393,10 +393,10 @@ def _select_elements(element: Element, path: str, **variables: str) -> list[Any]
 
 
 def _single_text(element: Element, path: str, **variables: str) -> str:
-    matches = _select_elements(element, path, **variables)
-    if not matches or not _element_text(matches[0]):
+    elements = _select_elements(element, path, **variables)
+    if not elements or not _element_text(elements[0]):
         raise ValueError(f"{path.rpartition('/')[2]} is missing")
-    return _element_text(matches[0])
+    return _element_text(elements[0])
 
 
 def _element_text(element: Element) -> str:

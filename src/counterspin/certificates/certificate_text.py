@@ -60,7 +60,7 @@ def region_factor(n_quantities: int, dof: float | None) -> float:
 
 
 #: ``(a ± b) x 1e4``: value, uncertainty, power.
-_ESTIMATE_TIMES_POWER: Final = re.compile(r"\((\S+) ± (\S+)\) (x 1e-?\d+)")
+_ESTIMATE_PATTERN: Final = re.compile(r"\((\S+) ± (\S+)\) (x 1e-?\d+)")
 
 #: Smallest share of u^2 for which a source is named separately.
 MIN_NAMED_SHARE: Final = 0.01
@@ -175,8 +175,8 @@ def scope_statement() -> str:
 
 def replace_plus_minus(sentence: str) -> str:
     """Replace "±" by "u =" in a sentence; in a certificate, "±" precedes only U."""
-    replaced = _ESTIMATE_TIMES_POWER.sub(r"\1 \3, u = \2 \3", sentence)
-    return replaced.replace(" ± ", ", u = ")
+    edited_sentence = _ESTIMATE_PATTERN.sub(r"\1 \3, u = \2 \3", sentence)
+    return edited_sentence.replace(" ± ", ", u = ")
 
 
 # The method
@@ -270,18 +270,18 @@ def assumption_lines(name: str, result: Result) -> list[str]:
             uncertainty_text = f"{format_uncertainty(line.u * scale)} {unit}"
             sentence_by_source[line.source] = (
                 f"Default prior: {describe_source(line.source)}, standard uncertainty "
-                f"{uncertainty_text}{_default_source(line.source, line.u)}; contribution to the "
+                f"{uncertainty_text}{_default_reference(line.source, line.u)}; contribution to the "
                 f"variance at most {format_share(line.share)}."
             )
     return [*sentences, *reversed(sentence_by_source.values())]
 
 
-def _default_source(source: str, u: float) -> str:
+def _default_reference(source: str, u: float) -> str:
     """Return the reference of a default uncertainty; empty if the campaign states it."""
     table_row = TABLE.get(find_symbol(source))
-    default_sizes = [] if table_row is None else [table_row.sizes(grade) for grade in GRADES]
+    default_priors = [] if table_row is None else [table_row.sizes(grade) for grade in GRADES]
     return next(
-        (f" ({size.source})" for size in default_sizes if math.isclose(size.typical, u)), ""
+        (f" ({prior.source})" for prior in default_priors if math.isclose(prior.typical, u)), ""
     )
 
 
@@ -330,12 +330,12 @@ def output_lines(accelerometer: AccelerometerResult) -> dict[str, str]:
         assert coefficient.u is not None
         k = coverage_factor(coefficient.dof)
         estimate_text = format_estimate(coefficient.value, k * coefficient.u, coefficient.unit)
-        quantity = {
+        quantity_text = {
             "bias": "bias (K0 times K1 of IEEE Std 1293)",
             "scale_factor": "scale factor K1",
         }[key]
         lines[key] = (
-            f"In the unit of the readings, the {quantity} is {estimate_text} (U, k = "
+            f"In the unit of the readings, the {quantity_text} is {estimate_text} (U, k = "
             f"{format_decimal(k)})."
         )
     return lines

@@ -23,7 +23,7 @@ _CODE_FILES: Final[Mapping[CodeList, str]] = {
 _STANDARD_NAMES: Final[Mapping[CodeList, str]] = {"country": "ISO 3166-1", "language": "ISO 639-1"}
 
 #: Withdrawn or reserved code -> code in force.
-_SUCCESSORS: Final[Mapping[str, str]] = {
+_REPLACEMENT_CODES: Final[Mapping[str, str]] = {
     **{"BU": "MM", "DD": "DE", "EL": "GR", "FX": "FR", "SU": "RU", "TP": "TL"},
     **{"UK": "GB", "VD": "VN", "YD": "YE", "YU": "RS", "ZR": "CD"},
     **{"in": "id", "iw": "he", "ji": "yi", "jw": "jv", "mo": "ro", "sh": "sr"},
@@ -53,9 +53,9 @@ def check_code(value: str, code_list: CodeList) -> str:
 def _close_codes(value: str, codes: Mapping[str, str]) -> list[str]:
     """Return the successor of a code, the code of a name, or similar codes."""
     code_by_lowercase = {code.lower(): code for code in codes}
-    successor = _SUCCESSORS.get(value) or code_by_lowercase.get(value.lower())
-    if successor is not None:
-        return [successor]
+    replacement_code = _REPLACEMENT_CODES.get(value) or code_by_lowercase.get(value.lower())
+    if replacement_code is not None:
+        return [replacement_code]
     code_by_name = {name.lower(): code for code, name in codes.items()}
     if len(value) > 2 and (names := get_close_matches(value.lower(), code_by_name, n=2)):
         return [code_by_name[name] for name in names]

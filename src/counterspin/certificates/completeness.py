@@ -34,16 +34,16 @@ class MissingEntry:
 
 def missing_data(lab: Lab, result: Result) -> list[MissingEntry]:
     """Return the missing data of the certificate of a result: values, conditions, evidence."""
-    return [*missing_administrative_data(lab), *_missing_evidence(lab, result)]
+    return [*missing_administrative_data(lab), *_missing_evidence_entries(lab, result)]
 
 
 def missing_administrative_data(lab: Lab) -> list[MissingEntry]:
     """Return missing data of any certificate: values of the template, and conditions."""
     template_entries = [MissingEntry(key, _TEMPLATE_MESSAGE) for key in template_keys(lab)]
-    return [*template_entries, *_missing_conditions(lab)]
+    return [*template_entries, *_missing_condition_entries(lab)]
 
 
-def missing_evidence(source: str, share: float, quantity: str) -> MissingEntry:
+def missing_evidence_entry(source: str, share: float, quantity: str) -> MissingEntry:
     """Return the missing entry of a default uncertainty with its share of a variance."""
     return MissingEntry(
         f"evidence.{source}",
@@ -53,7 +53,7 @@ def missing_evidence(source: str, share: float, quantity: str) -> MissingEntry:
     )
 
 
-def missing_despite_mistakes(
+def missing_data_despite_mistakes(
     document: Mapping[str, Any], invalid_keys: Collection[str], result: Result
 ) -> list[MissingEntry]:
     """Return the missing data of a document with mistakes.
@@ -96,7 +96,7 @@ def missing_lines(entries: Sequence[MissingEntry]) -> list[str]:
     ]
 
 
-def _missing_conditions(lab: Lab) -> Iterator[MissingEntry]:
+def _missing_condition_entries(lab: Lab) -> Iterator[MissingEntry]:
     if lab.conditions.temperature is None:
         yield MissingEntry(
             "conditions.temperature",
@@ -106,7 +106,7 @@ def _missing_conditions(lab: Lab) -> Iterator[MissingEntry]:
         )
 
 
-def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
+def _missing_evidence_entries(lab: Lab, result: Result) -> Iterator[MissingEntry]:
     for term in terms_without_evidence(result.assumed, lab.evidence):
         yield MissingEntry(
             f"evidence.{term}",
@@ -120,7 +120,7 @@ def _missing_evidence(lab: Lab, result: Result) -> Iterator[MissingEntry]:
                 share_by_source.get(source, (0.0, "")), (share, f"{symbol} of {name}")
             )
     for source, (share, coefficient) in share_by_source.items():
-        yield missing_evidence(source, share, coefficient)
+        yield missing_evidence_entry(source, share, coefficient)
 
 
 def _default_shares(lab: Lab, result: Result) -> Iterator[tuple[str, str, float, str]]:

@@ -197,8 +197,8 @@ def triad_lines(triad: TriadResult) -> list[str]:
     if triad.poses:
         rms_text = ""
         if triad.rms_before is not None:
-            before_text = format_number(triad.rms_before, 3)
-            rms_text = f" The rms difference between |f| and g is {before_text} m/s^2"
+            rms_before_text = format_number(triad.rms_before, 3)
+            rms_text = f" The rms difference between |f| and g is {rms_before_text} m/s^2"
             rms_after = triad.rms_after
             rms_text += (
                 "."
@@ -285,7 +285,7 @@ def apply_cmc_floor(result: Result, lab: Lab) -> Result:
     """
     if not lab.cmc:
         return result
-    factors = {
+    u_factors = {
         f"{name}.{symbol}": _cmc_factor(result, lab, name, symbol)
         for name, accelerometer in result.accelerometers.items()
         for symbol in accelerometer.coefficients
@@ -294,16 +294,21 @@ def apply_cmc_floor(result: Result, lab: Lab) -> Result:
         name: accelerometer.model_copy(
             update={
                 "coefficients": {
-                    symbol: _scale_u(coefficient, factors[f"{name}.{symbol}"])
+                    symbol: _scale_u(coefficient, u_factors[f"{name}.{symbol}"])
                     for symbol, coefficient in accelerometer.coefficients.items()
                 },
                 "output": {
-                    key: _scale_u(coefficient, factors.get(f"{name}.{COMMON_NAMES.get(key)}", 1.0))
+                    key: _scale_u(
+                        coefficient, u_factors.get(f"{name}.{COMMON_NAMES.get(key)}", 1.0)
+                    )
                     for key, coefficient in accelerometer.output.items()
                 },
                 "correlation": _rescale_correlation(
                     accelerometer.correlation,
-                    {symbol: factors[f"{name}.{symbol}"] for symbol in accelerometer.coefficients},
+                    {
+                        symbol: u_factors[f"{name}.{symbol}"]
+                        for symbol in accelerometer.coefficients
+                    },
                 ),
             }
         )
@@ -312,7 +317,7 @@ def apply_cmc_floor(result: Result, lab: Lab) -> Result:
     return result.model_copy(
         update={
             "accelerometers": accelerometers,
-            "correlation": _rescale_correlation(result.correlation, factors),
+            "correlation": _rescale_correlation(result.correlation, u_factors),
             "triad": None
             if result.triad is None
             else _apply_cmc_floor_to_triad(result, result.triad, lab),
@@ -377,8 +382,8 @@ def cmc_lines(result: Result, certified_result: Result, lab: Lab) -> list[str]:
         for symbol, coefficient in result.accelerometers[name].coefficients.items()
     ]
     evaluated_triad, certified_triad_result = (
-        certified_triad(source, lab.certified_names(result))
-        for source in (result, certified_result)
+        certified_triad(either_result, lab.certified_names(result))
+        for either_result in (result, certified_result)
     )
     if evaluated_triad is not None and certified_triad_result is not None:
         compared_values += [

@@ -32,9 +32,9 @@ def read_laboratory_logo(lab: Lab, folder: Path, source: str) -> bytes | None:
         ) from error
 
 
-def sign_pages_if_requested(pages: bytes, signer: Signer | None) -> bytes:
+def sign_pages_if_requested(pdf: bytes, signer: Signer | None) -> bytes:
     """Sign the pages if there is a signer."""
-    return pages if signer is None else sign_pages(pages, signer, parse_issue_date())
+    return pdf if signer is None else sign_pages(pdf, signer, parse_issue_date())
 
 
 def ledger_path(lab: Lab, lab_source: Mapping[str, Any] | Path | str) -> Path | None:
@@ -93,7 +93,7 @@ def make_issue(
     amended_certificate: AmendedCertificate | None,
     acceptance_reasons: Sequence[str],
     *,
-    draft: bool,
+    is_draft: bool,
 ) -> Issue:
     """Return identifier, date and state of a certificate.
 
@@ -109,11 +109,11 @@ def make_issue(
     if amended_certificate is not None:
         check_new_identifier(identifier, amended_certificate)
     return Issue(
-        identifier=f"DRAFT-{identifier}" if draft else identifier,
+        identifier=f"DRAFT-{identifier}" if is_draft else identifier,
         # Without a time of day, XML and PDF issued one after the other are identical.
         date=datetime.combine(lab.certificate.issued or parse_issue_date().date(), time(), UTC),
-        draft=draft,
-        amended=amended_certificate,
+        is_draft=is_draft,
+        amended_certificate=amended_certificate,
     )
 
 
@@ -151,5 +151,5 @@ def _page_settings(issue: Issue) -> dict[str, Any]:
         "title": page_title(issue),
         "identifier": issue.identifier,
         "date": issue.date,
-        "marks": PageMarks("DRAFT" if issue.draft else "", issue.logo),
+        "marks": PageMarks("DRAFT" if issue.is_draft else "", issue.logo),
     }

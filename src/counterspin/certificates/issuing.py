@@ -16,7 +16,7 @@ from counterspin.certificates.amendment import (
     Amendment,
     read_amended_certificate,
     record_changes,
-    verify_amended,
+    verify_amendment,
 )
 from counterspin.certificates.build import build_document as dcc_document
 from counterspin.certificates.build import check_certifiable, serialize_document
@@ -164,23 +164,23 @@ class Certificate:
         xml, pdf = _xml_and_pdf_paths(path)
         if not xml.is_file():
             pdf_content = self.pdf()
-            staged_pdf = self._staged_pdf_path(pdf, self.xml)
+            staged_pdf_path = self._staged_pdf_path(pdf, self.xml)
             write_atomically(
-                staged_pdf,
+                staged_pdf_path,
                 lambda partial_path: partial_path.write_bytes(pdf_content),
                 overwrite=True,
             )
             self.write(xml, ledger=ledger)
         published_xml = read_document(xml)
-        staged_pdf = self._staged_pdf_path(pdf, published_xml)
-        if not (staged_pdf.is_file() and read_document(staged_pdf) == published_xml):
+        staged_pdf_path = self._staged_pdf_path(pdf, published_xml)
+        if not (staged_pdf_path.is_file() and read_document(staged_pdf_path) == published_xml):
             raise ExistingFileError(
                 f"{xml} already exists, and no interrupted command left a PDF that belongs to it. "
                 "A certificate never overwrites a file; choose another name"
             )
-        pdf_content = read_file(staged_pdf)
+        pdf_content = read_file(staged_pdf_path)
         self._write(pdf, pdf_content, ledger, {**self.entry, "sha256": sha256_hex(published_xml)})
-        for partial_path in staged_pdf.parent.glob(self._staged_pdf_path(pdf, None).name):
+        for partial_path in staged_pdf_path.parent.glob(self._staged_pdf_path(pdf, None).name):
             partial_path.unlink(missing_ok=True)
         return [path, paired_path(path)]
 
@@ -329,15 +329,15 @@ def certificate(
         original_result.content,
         amended_certificate,
         acceptance_reasons,
-        draft=bool(missing_entries),
+        is_draft=bool(missing_entries),
     )
     issue = replace(
         issue,
-        accepted_unsealed=accept_unsealed,
-        signed=signer is not None,
+        acceptance_reason=accept_unsealed,
+        is_signed=signer is not None,
         logo=read_laboratory_logo(lab_data, folder, source),
     )
-    if issue.draft and signer is not None:
+    if issue.is_draft and signer is not None:
         raise CampaignError(source, missing_lines(missing_entries), code="certificate-incomplete")
     if callable(signer):
         signer = signer()
@@ -349,7 +349,9 @@ def certificate(
         new_xml = serialize_document(
             dcc_document(judged_result, lab_data, issue, verdicts, None, original_result)
         )
-        issue = replace(issue, amended=record_changes(amended_certificate, old_xml, new_xml))
+        issue = replace(
+            issue, amended_certificate=record_changes(amended_certificate, old_xml, new_xml)
+        )
     blocks = list(page_blocks(lab_data, judged_result, issue, verdicts))
     pages = render_pages(blocks, issue)
     root = dcc_document(judged_result, lab_data, issue, verdicts, pages, original_result)
@@ -378,7 +380,7 @@ def certificate(
         signed_by=lab_data.persons[0].name,
         reason=_issue_reason(issue, judged_result),
         result=None if isinstance(result, Result) else Path(result),
-        draft=issue.draft,
+        draft=issue.is_draft,
         pages=lambda: sign_pages_if_requested(render_pages(blocks, issue, xml=xml), signer),
         page_images=lambda: render_images(blocks, issue),
     )
@@ -400,7 +402,7 @@ def draft_pages(result: Result, lab: Mapping[str, Any], folder: Path) -> list[st
     lab_data, specifications = read_lab(add_required_keys(lab), result)
     names, judged_result = lab_data.certified_names(result), judge_result(result)
     check_certifiable(judged_result, names)
-    issue = make_issue(lab_data, result.content, None, (), draft=True)
+    issue = make_issue(lab_data, result.content, None, (), is_draft=True)
     issue = replace(issue, logo=read_laboratory_logo(lab_data, folder, "the laboratory data"))
     certified_result = apply_cmc_floor(judged_result, lab_data)
     if specifications is not None:
@@ -411,11 +413,11 @@ def draft_pages(result: Result, lab: Mapping[str, Any], folder: Path) -> list[st
 
 def _issue_reason(issue: Issue, result: Result) -> str:
     """Return the reason of issue and the reasons for exceptions."""
-    reason = "issued" if issue.amended is None else issue.amended.reason
+    reason = "issued" if issue.amended_certificate is None else issue.amended_certificate.reason
     if result.accepted_misfit is not None:
         reason += f"; the misfit was accepted for this reason: {result.accepted_misfit}"
-    if issue.accepted_unsealed is not None:
-        reason += f"; the missing seal was accepted for this reason: {issue.accepted_unsealed}"
+    if issue.acceptance_reason is not None:
+        reason += f"; the missing seal was accepted for this reason: {issue.acceptance_reason}"
     return reason
 
 
@@ -472,7 +474,7 @@ def check_certificate(
     if schema is not None:
         check_schema(document, schema, str(path))
     if amended_path is not None:
-        verify_amended(document, amended_path, str(path))
+        verify_amendment(document, amended_path, str(path))
     if signer_certificate is None:
         has_signature = is_signed(document, str(path))
         return CertificateCheck(

@@ -53,12 +53,12 @@ _CELSIUS_PATTERN: Final = re.compile(r"(.*?)\s*(?:degC|°C)")
 
 
 def _clean_entry(value: str) -> str:
-    stripped = " ".join(value.split())
-    if not stripped:
+    text = " ".join(value.split())
+    if not text:
         raise InputError("must not be empty", "missing-value")
-    if clean_text(stripped) != stripped:
+    if clean_text(text) != text:
         raise ValueError("contains a control character, which is not allowed in a certificate")
-    return stripped
+    return text
 
 
 def parse_celsius(text: object) -> Quantity:
@@ -546,18 +546,18 @@ _COMMENT_PREFIX: Final = re.compile(r"^# (?=\[?\[[\w.]+\]|[\w.\"*]+ = )", re.MUL
 
 def add_required_keys(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the laboratory data with template values for missing required keys."""
-    completed = dict(document)
+    completed_document = dict(document)
     for key, value in parse_toml(example_text()).items():
         section = document.get(key, [{}] if isinstance(value, list) else {})
         if isinstance(value, dict) and isinstance(section, dict):
-            completed[key] = value | section
+            completed_document[key] = value | section
         elif isinstance(value, list) and isinstance(section, list):
-            completed[key] = [
+            completed_document[key] = [
                 value[0] | entry if isinstance(entry, dict) else entry for entry in section
             ]
         else:
-            completed.setdefault(key, value)
-    return completed
+            completed_document.setdefault(key, value)
+    return completed_document
 
 
 def _template_entry(path: KeyPath, value: str) -> tuple[str, str]:

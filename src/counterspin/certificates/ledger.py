@@ -373,7 +373,7 @@ def record_certificate(
                 "(`amends`), or choose another certificate.identifier",
                 code="ledger-conflict",
             )
-        _check_amended(ledger, ledger_path, subject)
+        _check_amended_entry(ledger, ledger_path, subject)
         staging_path = _staging_path(path, checksum)
         write_atomically(
             staging_path, lambda path: _write_to_disk(path, file_content), overwrite=True
@@ -383,12 +383,14 @@ def record_certificate(
             for entry in earlier_entries
         }
         if (path.name, checksum) not in recorded_files:
-            _append_entry(ledger, {"file": path.name, **subject, "file_sha256": checksum}, details)
+            _append_certificate_entry(
+                ledger, {"file": path.name, **subject, "file_sha256": checksum}, details
+            )
         _publish_file(path, checksum)
     return None
 
 
-def _check_amended(ledger: OpenLedger, ledger_path: Path, subject: Mapping[str, str]) -> None:
+def _check_amended_entry(ledger: OpenLedger, ledger_path: Path, subject: Mapping[str, str]) -> None:
     """Raise RecordError if the amended certificate differs from its entries in the ledger."""
     if "amends" not in subject:
         return
@@ -406,7 +408,9 @@ def _check_amended(ledger: OpenLedger, ledger_path: Path, subject: Mapping[str, 
         )
 
 
-def _append_entry(ledger: OpenLedger, subject: Mapping[str, str], details: IssueDetails) -> None:
+def _append_certificate_entry(
+    ledger: OpenLedger, subject: Mapping[str, str], details: IssueDetails
+) -> None:
     when = _utc_text(details.date)
     if details.result is not None:
         checksum = _file_checksum(details.result)

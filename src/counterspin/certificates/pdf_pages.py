@@ -47,7 +47,7 @@ _ELECTRONIC_SIGNATURE: Final = "electronic signature of the XML and of these pag
 
 def page_title(issue: Issue) -> str:
     """Return the heading of every page."""
-    return f"DRAFT, not a {CERTIFICATE_TITLE.lower()}" if issue.draft else CERTIFICATE_TITLE
+    return f"DRAFT, not a {CERTIFICATE_TITLE.lower()}" if issue.is_draft else CERTIFICATE_TITLE
 
 
 def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> Iterator[Block]:
@@ -58,25 +58,25 @@ def page_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> I
     settings, names = lab.certificate, lab.certified_names(result)
     certified_result = apply_cmc_floor(result, lab)
     yield Heading(page_title(issue), 1)
-    if issue.draft:
+    if issue.is_draft:
         yield Paragraph(certificate_text.DRAFT_STATEMENT, "warning")
     yield Paragraph(
         f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) with this "
         "identifier contains the same values in machine-readable form.",
         "quiet",
     )
-    for line in amendment_lines(issue.amended):
+    for line in amendment_lines(issue.amended_certificate):
         yield Paragraph(typeset(line))
-    yield two_columns_table(administrative_rows(lab, issue))
+    yield two_column_table(administrative_rows(lab, issue))
     yield Heading("Calibrated item")
-    yield two_columns_table([*item_rows(lab), *_accelerometer_rows(lab, result)])
+    yield two_column_table([*item_rows(lab), *_accelerometer_rows(lab, result)])
     yield Heading("Method and conditions")
-    yield typeset_block(two_columns_table(_method_rows(lab, result)))
+    yield typeset_block(two_column_table(_method_rows(lab, result)))
     for line in (certificate_text.STANDARD_STATEMENT, *certificate_text.deviation_lines(settings)):
         yield Paragraph(typeset(line))
     yield from equipment_blocks(lab.equipment)
     yield Heading("Results")
-    seal_lines = certificate_text.seal_lines(result, issue.accepted_unsealed)
+    seal_lines = certificate_text.seal_lines(result, issue.acceptance_reason)
     for line in (*certificate_text.misfit_lines(result, names), *seal_lines):
         yield Paragraph(typeset(line), "warning")
     yield from _result_blocks(lab, result, certified_result)
@@ -249,7 +249,7 @@ def administrative_rows(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
     for index, person in enumerate(lab.persons):
         suffix = ", signs" if index == 0 else ""
         yield "Responsible", f"{person.name}, {person.role}{suffix}"
-    yield "Signature", _ELECTRONIC_SIGNATURE if issue.signed else _SIGNATURE_LINE
+    yield "Signature", _ELECTRONIC_SIGNATURE if issue.is_signed else _SIGNATURE_LINE
 
 
 def _method_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
@@ -260,8 +260,8 @@ def _method_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
     yield "Method", certificate_text.method_name(result)
     yield "Test", MultilineText(*certificate_text.test_lines(result))
     if result.runs:
-        rates = (f"{name}: {run.rate:.7g} rad/s" for name, run in result.runs.items())
-        yield "Rates", ", ".join(rates)
+        rate_texts = (f"{name}: {run.rate:.7g} rad/s" for name, run in result.runs.items())
+        yield "Rates", ", ".join(rate_texts)
     if inputs.radius:
         yield "Radius", _format_with_expanded_u(inputs.radius, inputs.u_radius, "m")
     yield "Local gravity", _format_with_expanded_u(inputs.gravity, inputs.u_gravity, "m/s^2")
@@ -279,8 +279,8 @@ def _format_with_expanded_u(value: float, u: float, unit: str) -> str:
 def _format_address(contact: Contact) -> str:
     street = " ".join(text for text in (contact.street, contact.number) if text)
     city = " ".join(text for text in (contact.post_code, contact.city) if text)
-    parts = (contact.name, street, city, contact.country, contact.email, contact.phone)
-    return ", ".join(text for text in parts if text)
+    address_parts = (contact.name, street, city, contact.country, contact.email, contact.phone)
+    return ", ".join(text for text in address_parts if text)
 
 
 def item_rows(lab: Lab) -> Iterator[tuple[str, str]]:
@@ -307,7 +307,7 @@ def _accelerometer_rows(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
             yield f"Accelerometer {name}", ", ".join(text for text in identification if text)
 
 
-def two_columns_table(rows: Iterable[tuple[str, str]]) -> Table:
+def two_column_table(rows: Iterable[tuple[str, str]]) -> Table:
     """Return a table of names and values without titles."""
     return Table((Column("", wraps=True), Column("", wraps=True)), tuple(rows))
 

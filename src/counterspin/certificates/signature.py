@@ -223,7 +223,7 @@ _PYHANKO_MISSING: Final = (
 )
 
 
-def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
+def sign_pages(pdf: bytes, signer: Signer, date: datetime) -> bytes:
     """Sign a PDF; the signature permits no later changes.
 
     date: Time of signing in the signature.
@@ -246,17 +246,17 @@ def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
         @classmethod
         def _handle_id(cls, prev: Any) -> Any:
             # Without random bytes, the same certificate gives the same file.
-            first = prev.trailer["/ID"][0].original_bytes
-            return ArrayObject([ByteStringObject(first), ByteStringObject(_sha256(pages)[:16])])
+            first_id = prev.trailer["/ID"][0].original_bytes
+            return ArrayObject([ByteStringObject(first_id), ByteStringObject(_sha256(pdf)[:16])])
 
         def _update_meta(self) -> None:
             # Metadata rewritten by pyHanko would not conform to PDF/A.
             pass
 
     # An object begins on a new line (PDF/A-3, 6.1.9).
-    pdf_buffer = io.BytesIO(pages if pages.endswith(b"\n") else pages + b"\n")
-    sizing_signer = replace(signer, sign=lambda _: bytes(_max_signature_size(signer)))
-    reserved_size = len(_run_coroutine(_sign_digest(sizing_signer, bytes(32))))
+    pdf_buffer = io.BytesIO(pdf if pdf.endswith(b"\n") else pdf + b"\n")
+    dummy_signer = replace(signer, sign=lambda _: bytes(_max_signature_size(signer)))
+    reserved_size = len(_run_coroutine(_sign_digest(dummy_signer, bytes(32))))
     field_spec = SigFieldSpec(_FIELD_NAME, readable_field_name=_FIELD_LABEL)
     embedder = PdfCMSEmbedder(field_spec).write_cms(_FIELD_NAME, IncrementalUpdate(pdf_buffer))
     next(embedder)
@@ -267,9 +267,9 @@ def sign_pages(pages: bytes, signer: Signer, date: datetime) -> bytes:
     )
     permissions = SigMDPSetup("sha256", certify=True, docmdp_perms=MDPPerm.NO_CHANGES)
     embedder.send(SigObjSetup(sig_placeholder=placeholder, mdp_setup=permissions))
-    prepared_digest, output = embedder.send(SigIOSetup(md_algorithm="sha256"))
+    prepared_digest, signed_buffer = embedder.send(SigIOSetup(md_algorithm="sha256"))
     embedder.send(_run_coroutine(_sign_digest(signer, prepared_digest.document_digest)))
-    signed_pdf: bytes = output.getvalue()
+    signed_pdf: bytes = signed_buffer.getvalue()
     return signed_pdf
 
 
@@ -303,11 +303,11 @@ async def _sign_digest(signer: Signer, digest: bytes) -> bytes:
         Certificate.load(certificate.public_bytes(Encoding.DER))
         for certificate in signer.certificates
     )
-    store: Any = SimpleCertificateStore()  # type: ignore[no-untyped-call, unused-ignore]
-    store.register_multiple(chain)
-    cms = await DigestSigner(signing_cert=signing_certificate, cert_registry=store).async_sign(
-        digest, "sha256", use_pades=True
-    )
+    certificate_store: Any = SimpleCertificateStore()  # type: ignore[no-untyped-call, unused-ignore]
+    certificate_store.register_multiple(chain)
+    cms = await DigestSigner(
+        signing_cert=signing_certificate, cert_registry=certificate_store
+    ).async_sign(digest, "sha256", use_pades=True)
     content: bytes = cms.dump()
     return content
 

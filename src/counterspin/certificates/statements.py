@@ -35,11 +35,11 @@ class Issue:
 
     identifier: str  #: Unique identifier.
     date: datetime.datetime  #: Date of issue, UTC.
-    signed: bool = False  #: Whether an electronic signature follows.
-    draft: bool = False  #: Whether required data are missing.
-    amended: AmendedCertificate | None = None  #: Certificate that is replaced.
+    is_signed: bool = False  #: Whether an electronic signature follows.
+    is_draft: bool = False  #: Whether required data are missing.
+    amended_certificate: AmendedCertificate | None = None  #: Certificate that is replaced.
     #: Reason for certifying a result file without a seal; None for a sealed file.
-    accepted_unsealed: str | None = None
+    acceptance_reason: str | None = None
     logo: bytes | None = None  #: Logo of the laboratory, PNG or SVG.
 
     def file_name(self, suffix: str) -> str:
@@ -93,14 +93,16 @@ def certificate_statements(
 
 def _document_statements(lab: Lab, certified_result: Result, issue: Issue) -> Iterator[Statement]:
     settings = lab.certificate
-    yield Statement("Draft", [certificate_text.DRAFT_STATEMENT] if issue.draft else [], valid=False)
-    yield Statement("Amendment", amendment_lines(issue.amended), _QUALITY_STANDARDS)
+    yield Statement(
+        "Draft", [certificate_text.DRAFT_STATEMENT] if issue.is_draft else [], valid=False
+    )
+    yield Statement("Amendment", amendment_lines(issue.amended_certificate), _QUALITY_STANDARDS)
     misfit_lines = certificate_text.misfit_lines(
         certified_result, lab.certified_names(certified_result)
     )
     yield Statement("Accepted misfit", misfit_lines)
     yield Statement(
-        "Result file", certificate_text.seal_lines(certified_result, issue.accepted_unsealed)
+        "Result file", certificate_text.seal_lines(certified_result, issue.acceptance_reason)
     )
     yield Statement(
         certificate_text.TRACEABILITY_HEADING,
@@ -137,11 +139,13 @@ def _value_statements(lab: Lab, result: Result, certified_result: Result) -> Ite
         for line in certificate_text.prior_lines(name, certified_result, settings)
     ]
     yield Statement(certificate_text.PRIOR_INFORMATION_HEADING, prior_sentences)
-    evidence = [*evidence_lines(certified_result.assumed, lab.evidence)]
-    yield Statement(certificate_text.FIXED_TERMS_HEADING, evidence, language=settings.language)
-    evidence_for_defaults = default_evidence_lines(lab, certified_result)
+    evidence_sentences = [*evidence_lines(certified_result.assumed, lab.evidence)]
     yield Statement(
-        certificate_text.DEFAULT_EVIDENCE_HEADING, evidence_for_defaults, language=settings.language
+        certificate_text.FIXED_TERMS_HEADING, evidence_sentences, language=settings.language
+    )
+    default_evidence = default_evidence_lines(lab, certified_result)
+    yield Statement(
+        certificate_text.DEFAULT_EVIDENCE_HEADING, default_evidence, language=settings.language
     )
     customer_lines = certificate_text.customer_lines(settings)
     yield Statement(
