@@ -186,13 +186,13 @@ def _compare_accelerometer(
         )
         agreements.append(agreement)
         for symbol, (difference, u, z) in differences.items():
-            update = {"difference": difference, "u_difference": u, "z": z}
-            rows[symbol][index] = rows[symbol][index].model_copy(update=update)
-    table = [
+            changed_fields = {"difference": difference, "u_difference": u, "z": z}
+            rows[symbol][index] = rows[symbol][index].model_copy(update=changed_fields)
+    compared_coefficients = [
         ComparedCoefficient(accelerometer=name, term=symbol, unit=units[symbol], estimates=row)
         for symbol, row in rows.items()
     ]
-    return table, agreements
+    return compared_coefficients, agreements
 
 
 def _target_gravity(results: Sequence[Result], index: int, gravity: float) -> float | None:
@@ -225,15 +225,15 @@ def _compare_pair(
         extract_estimates(results[index], name, terms, _target_gravity(results, index, gravity))
         for index in indices
     )
-    first, second = (results[index] for index in indices)
+    first_result, second_result = (results[index] for index in indices)
     relation, assumptions = relate_results(
-        name, (first, second), (first_estimates, second_estimates)
+        name, (first_result, second_result), (first_estimates, second_estimates)
     )
     covariance, shared_sources = covariance_of_difference(
         first_estimates, second_estimates, relation
     )
     covariance = apply_joint_check(
-        name, (first, second), (first_estimates, second_estimates), covariance
+        name, (first_result, second_result), (first_estimates, second_estimates), covariance
     )
     difference = second_estimates.values - first_estimates.values
     uncertainties = np.sqrt(

@@ -32,7 +32,7 @@ NEGLIGIBLE_VARIANCE: Final = 1e-9
 _ROUNDING_TOLERANCE: Final = 1e-6
 
 #: Smallest share of a variance for which a shared source is named.
-_MIN_SHARE: Final = 1e-3
+_MIN_VARIANCE_SHARE: Final = 1e-3
 
 
 @frozen
@@ -72,7 +72,9 @@ def _independent_covariance(first: Estimates, second: Estimates) -> tuple[Array,
         ):
             cross_covariance = np.outer(first_source.shifts, second_source.shifts)
             covariance = covariance - cross_covariance - cross_covariance.T
-            if np.any(np.abs(np.diag(cross_covariance)) > _MIN_SHARE * np.diag(first.covariance)):
+            if np.any(
+                np.abs(np.diag(cross_covariance)) > _MIN_VARIANCE_SHARE * np.diag(first.covariance)
+            ):
                 shared_names.append(name)
     return covariance, shared_names
 
@@ -98,7 +100,7 @@ def _common_record_covariance(
         )
         return np.diag(covariance), []
     common_sources, efficient_only_shifts = list[tuple[SharedSource, SharedSource]](), list[Array]()
-    remeasured_shifts = list[tuple[Array, Array]]()
+    unshared_shift_pairs = list[tuple[Array, Array]]()
     shared_names = []
     for name, efficient_source in efficient_estimates.sources.items():
         inefficient_source = inefficient_estimates.sources.get(name)
@@ -109,7 +111,7 @@ def _common_record_covariance(
                 and inefficient_source.estimated
                 and efficient_source.is_remeasured(inefficient_source)
             ):
-                remeasured_shifts.append((efficient_source.shifts, inefficient_source.shifts))
+                unshared_shift_pairs.append((efficient_source.shifts, inefficient_source.shifts))
         elif inefficient_source is not None and efficient_source.has_same_statement(
             inefficient_source
         ):
@@ -127,10 +129,10 @@ def _common_record_covariance(
             or _is_estimated(efficient_estimates, name)
         )
     ]
-    efficient_remeasured_covariance, inefficient_remeasured_covariance = (
-        covariance_of_shifts([pair[i] for pair in remeasured_shifts], n_terms) for i in (0, 1)
+    efficient_unshared_covariance, inefficient_unshared_covariance = (
+        covariance_of_shifts([pair[i] for pair in unshared_shift_pairs], n_terms) for i in (0, 1)
     )
-    inefficient_covariance = inefficient_estimates.covariance - inefficient_remeasured_covariance
+    inefficient_covariance = inefficient_estimates.covariance - inefficient_unshared_covariance
     inefficient_covariance = inefficient_covariance - covariance_of_shifts(
         [
             *(inefficient_source.shifts for _, inefficient_source in common_sources),
@@ -140,7 +142,7 @@ def _common_record_covariance(
     )
     efficient_covariance = (
         efficient_estimates.covariance
-        - efficient_remeasured_covariance
+        - efficient_unshared_covariance
         - efficient_estimates.source_covariance(estimated=False)
     )
     if relation.noise_ratio != 1.0:
@@ -148,7 +150,7 @@ def _common_record_covariance(
             relation.noise_ratio if efficient_estimates is second else 1.0 / relation.noise_ratio
         )
         prior_covariance = (
-            efficient_estimates.source_covariance(estimated=True) - efficient_remeasured_covariance
+            efficient_estimates.source_covariance(estimated=True) - efficient_unshared_covariance
         )
         efficient_covariance = prior_covariance + noise_ratio**2 * (
             efficient_covariance - prior_covariance
@@ -168,7 +170,7 @@ def _common_record_covariance(
     )
     return excess_covariance + common_covariance + covariance_of_shifts(
         [*efficient_only_shifts, *inefficient_only_shifts], n_terms
-    ) + efficient_remeasured_covariance + inefficient_remeasured_covariance, shared_names
+    ) + efficient_unshared_covariance + inefficient_unshared_covariance, shared_names
 
 
 def _is_estimated(estimates: Estimates, source_name: str) -> bool:
@@ -182,8 +184,8 @@ def _absolute_matrix(matrix: Array) -> Array:
     """
     eigenvalues, eigenvectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     eigenvalues = np.where(np.abs(eigenvalues) > NEGLIGIBLE_VARIANCE, np.abs(eigenvalues), 0.0)
-    absolute: Array = (eigenvectors * eigenvalues) @ eigenvectors.T
-    return absolute
+    absolute_matrix: Array = (eigenvectors * eigenvalues) @ eigenvectors.T
+    return absolute_matrix
 
 
 def chi_square(
@@ -288,7 +290,7 @@ def extract_estimates(
     coefficients = [accelerometer.coefficients[symbol] for symbol in symbols]
     result_gravity = result.inputs.gravity
     target_gravity = result_gravity if gravity is None else gravity
-    factors = np.array(
+    unit_ratios = np.array(
         [g_units_ratio(symbol, result_gravity, target_gravity) for symbol in symbols]
     )
     u = np.array([coefficient.u or 0.0 for coefficient in coefficients])
@@ -301,17 +303,17 @@ def extract_estimates(
         indices = [stated_correlation.terms.index(symbol) for symbol in symbols]
         correlation_matrix = np.array(stated_correlation.matrix)[np.ix_(indices, indices)]
     sources = {
-        source: _scale_source(unscaled_source, factors)
+        source: _scale_source(unscaled_source, unit_ratios)
         for source, unscaled_source in _extract_sources(result, name, symbols).items()
     }
     return Estimates(
         symbols=tuple(symbols),
-        values=factors * np.array([coefficient.value or 0.0 for coefficient in coefficients]),
-        covariance=np.outer(factors * u, factors * u) * correlation_matrix,
+        values=unit_ratios * np.array([coefficient.value or 0.0 for coefficient in coefficients]),
+        covariance=np.outer(unit_ratios * u, unit_ratios * u) * correlation_matrix,
         sources=sources,
         is_complete=has_correlations
         and all(accelerometer.budget.get(symbol) for symbol in symbols),
-        considered_u=factors
+        considered_u=unit_ratios
         * np.array([_considered_u(result, coefficient) for coefficient in coefficients]),
     )
 
@@ -323,9 +325,9 @@ def _considered_u(result: Result, coefficient: Coefficient) -> float:
     return math.hypot(coefficient.u_stated or 0.0, coefficient.u_unstated or 0.0)
 
 
-def _scale_source(source: SharedSource, factors: Array) -> SharedSource:
+def _scale_source(source: SharedSource, unit_ratios: Array) -> SharedSource:
     return SharedSource(
-        source.estimated, source.value_and_u, source.shifts * factors, source.is_run_specific
+        source.estimated, source.value_and_u, source.shifts * unit_ratios, source.is_run_specific
     )
 
 
@@ -382,28 +384,28 @@ def relate_results(
     name: str, results: tuple[Result, Result], estimates: tuple[Estimates, Estimates]
 ) -> tuple[Relation, list[str]]:
     """Return the relation of two results of an accelerometer, and the assumptions as text."""
-    first, second = results
-    records = record_checksums(first), record_checksums(second)
+    first_result, second_result = results
+    checksums = record_checksums(first_result), record_checksums(second_result)
     assumptions = []
     if not all(pair_estimates.is_complete for pair_estimates in estimates):
         assumptions.append(
             "One of the results has no uncertainty budget or no correlations, so the "
             "comparison treats its coefficients as uncorrelated."
         )
-    if not all(records):
+    if not all(checksums):
         assumptions.append(
             "One of the results does not list its records. The comparison assumes that the two "
             "results are independent."
         )
-    if not records[0] & records[1]:
+    if not checksums[0] & checksums[1]:
         assumptions.append(
             "The comparison treats all inputs as independent, except values of radius, gravity "
             "and priors that both results state identically: it treats these as the same "
             "measurement."
         )
         return Relation("independent"), assumptions
-    overlap: Literal["same", "part"] = "same" if records[0] == records[1] else "part"
-    efficient_index = _efficient_result_index(results, records, estimates)
+    overlap: Literal["same", "part"] = "same" if checksums[0] == checksums[1] else "part"
+    efficient_index = _efficient_result_index(results, checksums, estimates)
     has_same_weights = (
         overlap == "same"
         and efficient_index is not None
@@ -415,7 +417,7 @@ def relate_results(
             "The comparison assumes that the results are independent, which overestimates the "
             "uncertainty of a difference."
         )
-    elif first.model != second.model:
+    elif first_result.model != second_result.model:
         assumptions.append(
             "One of the results was computed with the paper's equations as printed, which "
             "estimate a different quantity. The uncertainty of a difference is therefore of "
@@ -427,18 +429,20 @@ def relate_results(
             "result with the smaller variance is the best estimate from these records, and "
             "subtracts the variances."
         )
-    elif first.method != second.method:
+    elif first_result.method != second_result.method:
         assumptions.append(
             "The comparison assumes that the joint method gives the best estimate from these "
             "records, and subtracts the variances."
         )
-    elif not has_same_weights and _estimated_noise(name, first) != _estimated_noise(name, second):
+    elif not has_same_weights and _estimated_noise(name, first_result) != _estimated_noise(
+        name, second_result
+    ):
         assumptions.append(
             "The two results state different noise. The comparison subtracts the variances, but "
             "the weights also differ, so the uncertainty of the difference is approximate."
         )
     return Relation(
-        overlap, efficient_index, has_same_weights, _noise_ratio(name, first, second)
+        overlap, efficient_index, has_same_weights, _noise_ratio(name, first_result, second_result)
     ), assumptions
 
 
@@ -479,11 +483,11 @@ def _efficient_result_index(
 def _has_same_prior(
     name: str, first: Mapping[str, SharedSource], second: Mapping[str, SharedSource]
 ) -> bool:
-    counterpart = second[name]
+    second_source = second[name]
     return (
-        not counterpart.estimated
-        or first[name].has_same_statement(counterpart)
-        or first[name].is_remeasured(counterpart)
+        not second_source.estimated
+        or first[name].has_same_statement(second_source)
+        or first[name].is_remeasured(second_source)
     )
 
 

@@ -89,12 +89,12 @@ def intercompare(
         zip(_laboratory_names(results, loaded_results), loaded_results, strict=True)
     )
     _require_comparable(laboratories)
-    references = [
+    reference_values = [
         _evaluate_reference_value(accelerometer, symbol, laboratories)
         for accelerometer in _common_accelerometers(laboratories)
         for symbol in _compared_symbols(accelerometer, laboratories, coefficients)
     ]
-    if not references:
+    if not reference_values:
         raise _comparison_error("no coefficient is determined by all results")
     unnamed_laboratories = [
         name for name, result in laboratories.items() if "laboratory" not in result.details
@@ -103,7 +103,7 @@ def intercompare(
         gravity=loaded_results[0].inputs.gravity,
         significance=SIGNIFICANCE,
         laboratories=list(laboratories),
-        references=references,
+        references=reference_values,
         assumed=[
             f"The campaigns of {', '.join(unnamed_laboratories)} do not name a laboratory. "
             "The comparison treats identical values for the machine and the site as the same "

@@ -85,7 +85,7 @@ def _degree_tables(reference: ReferenceValue) -> Iterator[Table]:
     """Yield the degrees of equivalence, and the differences of all pairs."""
     unit, factor = find_display_unit(reference.unit)
 
-    def rounded(d: float, expanded_u_d: float) -> tuple[str, str]:
+    def format_rounded(d: float, expanded_u_d: float) -> tuple[str, str]:
         rounded = round_to_uncertainty(d * factor, expanded_u_d * factor) if expanded_u_d else None
         if rounded is None or rounded.exponent:
             return format_number(d * factor), format_number(expanded_u_d * factor, 2)
@@ -99,7 +99,7 @@ def _degree_tables(reference: ReferenceValue) -> Iterator[Table]:
             scores = (
                 "-" if score is None else f"{score:.2f}" for score in (degree.e_n, degree.zeta)
             )
-            row += [*rounded(degree.d, degree.expanded_u_d), *scores]
+            row += [*format_rounded(degree.d, degree.expanded_u_d), *scores]
         degree_rows.append((*row, *[""] * (7 - len(row))))
     titles = ("Laboratory", f"{reference.term}, {unit}", "Subset", "d", "U(d)", "E_n", "zeta")
     text_titles = {"Laboratory", "Subset"}
@@ -115,7 +115,7 @@ def _degree_tables(reference: ReferenceValue) -> Iterator[Table]:
         tuple(
             (
                 f"{pair.second} - {pair.first}",
-                *rounded(pair.d, pair.expanded_u_d),
+                *format_rounded(pair.d, pair.expanded_u_d),
                 f"{pair.e_n:.2f}",
             )
             for pair in reference.pairs

@@ -228,7 +228,7 @@ def _k_ii_plots(coefficients: list[ComparedCoefficient], names: tuple[str, ...])
             if estimate.value is not None and estimate.u is not None
         ]
         if len(points) > 1:
-            shown_names, y, u = (tuple(row) for row in zip(*points, strict=True))
+            plotted_names, y, u = (tuple(row) for row in zip(*points, strict=True))
             yield Plot(
                 title=f"K_II of {coefficient.accelerometer} in each result",
                 x_label="result",
@@ -247,7 +247,7 @@ def _k_ii_plots(coefficients: list[ComparedCoefficient], names: tuple[str, ...])
                         kind="points",
                     ),
                 ),
-                x_names=shown_names,
+                x_names=plotted_names,
             )
 
 
@@ -269,71 +269,75 @@ def _shared_source_blocks(comparison: ResultComparison) -> Iterator[Block]:
         yield Paragraph(f"Assumed: {text}", "quiet")
 
 
-def repeated_calibration_blocks(repeated: RepeatedCalibration) -> list[Block]:
+def repeated_calibration_blocks(calibration: RepeatedCalibration) -> list[Block]:
     """Return the verdict on a repeated result, and the changes."""
     blocks: list[Block] = [
         Heading("Repeated calibration", 1),
-        *_unsealed_warnings(repeated.unsealed),
+        *_unsealed_warnings(calibration.unsealed),
         Paragraph(
-            repeated_calibration_sentence(repeated), "answer" if repeated.same else "warning"
+            repeated_calibration_sentence(calibration), "answer" if calibration.same else "warning"
         ),
     ]
-    if repeated.moved:
-        locations = "; ".join(f"{name}: {path}" for name, path in repeated.moved.items())
+    if calibration.moved:
+        locations_text = "; ".join(f"{name}: {path}" for name, path in calibration.moved.items())
         blocks.append(
-            Paragraph(f"These inputs were found under different file names: {locations}.", "quiet")
+            Paragraph(
+                f"These inputs were found under different file names: {locations_text}.", "quiet"
+            )
         )
     changed_coefficients = [
         coefficient
-        for coefficient in repeated.coefficients
+        for coefficient in calibration.coefficients
         if coefficient.relative is None or coefficient.relative > 0.0
     ]
-    if not repeated.same and changed_coefficients:
+    if not calibration.same and changed_coefficients:
         blocks.append(_difference_table(changed_coefficients))
-    if repeated.changes:
+    if calibration.changes:
         blocks.append(Heading("Changes"))
         blocks.append(
             Table(
                 (Column(""), Column("Then", wraps=True), Column("Now", wraps=True)),
-                tuple((change.subject, *change.values) for change in repeated.changes),
+                tuple((change.subject, *change.values) for change in calibration.changes),
             )
         )
     return blocks
 
 
-def repeated_calibration_sentence(repeated: RepeatedCalibration) -> str:
+def repeated_calibration_sentence(calibration: RepeatedCalibration) -> str:
     """Return a sentence on the validity of a repeated result."""
-    limit = format_number(repeated.limit)
-    if repeated.same:
-        largest_difference = repeated.largest or 0.0
-        largest_text = (
+    limit = format_number(calibration.limit)
+    if calibration.same:
+        largest_difference = calibration.largest or 0.0
+        max_difference_text = (
             f"largest relative difference {largest_difference:.1e}"
             if largest_difference
             else "all numbers are equal"
         )
         return (
-            f"{repeated.result}: the repeated result equals the original within {limit} "
-            f"({largest_text})."
+            f"{calibration.result}: the repeated result equals the original within {limit} "
+            f"({max_difference_text})."
         )
-    subjects = "; ".join(change.subject for change in repeated.changes)
+    subjects_text = "; ".join(change.subject for change in calibration.changes)
     cause = (
-        f" Changed: {subjects}."
-        if subjects
+        f" Changed: {subjects_text}."
+        if subjects_text
         else (" The inputs, the version and the environment are the same.")
     )
-    if repeated.largest is None:
+    if calibration.largest is None:
         difference_text = "the sets of coefficients, or of determined coefficients, differ"
-    elif repeated.largest <= repeated.limit:
-        difference_text = f"the state was {repeated.state_before} and is now {repeated.state_now}"
-    elif repeated.largest_in_u is None:
-        difference_text = f"the largest relative difference is {repeated.largest:.1e}"
+    elif calibration.largest <= calibration.limit:
+        difference_text = (
+            f"the state was {calibration.state_before} and is now {calibration.state_now}"
+        )
+    elif calibration.largest_in_u is None:
+        difference_text = f"the largest relative difference is {calibration.largest:.1e}"
     else:
         difference_text = (
-            f"the largest difference is {format_number(repeated.largest_in_u)} u "
-            f"(relative: {repeated.largest:.1e})"
+            f"the largest difference is {format_number(calibration.largest_in_u)} u "
+            f"(relative: {calibration.largest:.1e})"
         )
     return (
-        f"{repeated.result}: the repeated result differs from the original by more than "
+        f"{calibration.result}: the repeated result differs from the original by more than "
         f"{limit}: {difference_text}.{cause}"
     )
 
@@ -342,13 +346,13 @@ def _difference_table(changed_coefficients: list[RepeatedCoefficient]) -> Table:
     rows = list[tuple[str, ...]]()
     for coefficient in changed_coefficients:
         unit, factor = find_display_unit(coefficient.unit)
-        in_u = "" if coefficient.in_u is None else f"{coefficient.in_u:.2g}"
+        in_u_text = "" if coefficient.in_u is None else f"{coefficient.in_u:.2g}"
         rows.append(
             (
                 f"{coefficient.name}, {unit}",
                 _format_value(coefficient.before, coefficient.u_before, factor),
                 _format_value(coefficient.now, coefficient.u_now, factor),
-                in_u,
+                in_u_text,
             )
         )
     return Table(

@@ -34,12 +34,12 @@ def find_changes(results: Sequence[Result]) -> list[Change]:
     """Return the differences between results: method and options, terms, noise, inputs, files."""
     descriptions = [dict(_describe_result(result)) for result in results]
     subjects = dict.fromkeys(subject for description in descriptions for subject in description)
-    differences = []
+    changes = []
     for subject in subjects:
         values = [description.get(subject, _NO_VALUE) for description in descriptions]
         if len(set(values)) > 1:
-            differences.append(Change(subject=subject, values=values))
-    return differences
+            changes.append(Change(subject=subject, values=values))
+    return changes
 
 
 def term_names(result: Result) -> set[str]:
@@ -88,8 +88,8 @@ def _describe_model(result: Result) -> Iterator[tuple[str, str]]:
         for source, text in priors.items():
             yield f"{name}: {source}", text
         for component, line in accelerometer.noise.items():
-            level = _format_quantity(line.value, 0.0, line.unit)
-            yield f"noise of {name}, {component}", "estimated" if line.estimated else level
+            level_text = _format_quantity(line.value, 0.0, line.unit)
+            yield f"noise of {name}, {component}", "estimated" if line.estimated else level_text
     yield "terms fixed at nominal", ", ".join(result.assumed) or _NO_VALUE
     yield "default priors", ", ".join(_default_priors(result)) or _NO_VALUE
     yield "platform terms", ", ".join(result.platform) or _NO_VALUE
@@ -165,35 +165,39 @@ def rerun(
     CampaignError
         If the campaign cannot be calibrated, or an option belongs to another version.
     """
-    original = judge_result(result if isinstance(result, Result) else Result.read(result))
-    result_name = original.title or "the result" if isinstance(result, Result) else str(result)
+    original_result = judge_result(result if isinstance(result, Result) else Result.read(result))
+    result_name = (
+        original_result.title or "the result" if isinstance(result, Result) else str(result)
+    )
     if folder is None and isinstance(result, Result):
         raise RecordError(f"{result_name}: give the campaign folder (`folder`)", code="wrong-usage")
     campaign_folder = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
-    if original.provenance.in_memory or not original.provenance.inputs:
+    if original_result.provenance.in_memory or not original_result.provenance.inputs:
         raise RecordError(
             f"{result_name}: computed from data in memory; only results from campaign files can "
             "be repeated",
             code="missing-in-result",
         )
-    method, options, without = parse_options(original.provenance.options)
+    method, options, excluded_runs = parse_options(original_result.provenance.options)
     with ExitStack() as stack:
-        paths, new_paths = _locate_inputs(original.provenance.inputs, campaign_folder, result_name)
+        paths, new_paths = _locate_inputs(
+            original_result.provenance.inputs, campaign_folder, result_name
+        )
         if new_paths:
             staging_folder = stack.enter_context(temporary_folder("counterspin-rerun-"))
             for name, file in paths.items():
                 (staging_folder / name).parent.mkdir(parents=True, exist_ok=True)
                 _link_or_copy(file, staging_folder / name)
             campaign_folder = staging_folder
-        repeated = calibrate(
-            _calibration_input(original, campaign_folder / next(iter(paths))),
+        repeated_result = calibrate(
+            _calibration_input(original_result, campaign_folder / next(iter(paths))),
             method=method,
             options=options,
-            accept_misfit=original.accepted_misfit,
-            without=without,
+            accept_misfit=original_result.accepted_misfit,
+            without=excluded_runs,
             progress=progress,
         )
-    return _compare_coefficients(result_name, original, repeated, new_paths)
+    return _compare_coefficients(result_name, original_result, repeated_result, new_paths)
 
 
 def _calibration_input(original: Result, path: Path) -> Path | Campaign:
@@ -211,9 +215,9 @@ def _locate_inputs(
     """Return the path of each input, and the new paths of renamed inputs."""
     paths, new_paths = dict[str, Path](), dict[str, str]()
     with Checksums() as checksums:
-        named_paths = {name: folder / name for name in inputs}
+        path_by_name = {name: folder / name for name in inputs}
         actual_checksums = dict(
-            zip(named_paths, checksums.checksums(named_paths.values()), strict=True)
+            zip(path_by_name, checksums.checksums(path_by_name.values()), strict=True)
         )
         changed_names = {name for name in inputs if actual_checksums[name] != inputs[name]}
         path_by_checksum = _files_by_checksum(
@@ -232,7 +236,7 @@ def _locate_inputs(
                 code="file-not-found",
             )
         else:
-            paths[name] = named_paths[name]
+            paths[name] = path_by_name[name]
     if any(not _is_inside_folder(name) for name in inputs):
         new_paths = {} if not new_paths else _refuse_renamed_inputs(result_name, new_paths)
     return paths, new_paths

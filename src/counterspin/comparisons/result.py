@@ -256,8 +256,8 @@ class Intercomparison(ReportableResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw the degrees of equivalence of each coefficient, and a Youden plot of two."""
-        pictures = load_name("counterspin.comparisons.intercomparison_page:intercomparison_plots")
-        return draw_pictures(pictures(self), axes)
+        make_plots = load_name("counterspin.comparisons.intercomparison_page:intercomparison_plots")
+        return draw_pictures(make_plots(self), axes)
 
     @property
     def identifier(self) -> str:

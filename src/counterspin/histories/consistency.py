@@ -104,8 +104,10 @@ def fit_drift(
             np.stack([np.ones(times.size), times - mean_time], axis=1), measurements, uncertainties
         )
     else:
-        whitened = _whiten(np.stack([np.ones(times.size), times, measurements], axis=1), covariance)
-        whitened_ones, whitened_times, whitened_values = whitened.T
+        whitened_columns = _whiten(
+            np.stack([np.ones(times.size), times, measurements], axis=1), covariance
+        )
+        whitened_ones, whitened_times, whitened_values = whitened_columns.T
         mean_time = float(whitened_ones @ whitened_times / (whitened_ones @ whitened_ones))
         line_fit = fit(
             np.stack([whitened_ones, whitened_times - mean_time * whitened_ones], axis=1),
@@ -213,7 +215,7 @@ def individuals_chart(values: npt.ArrayLike, files: Sequence[str]) -> ControlLim
     mean_range = float(moving_ranges.mean())
     centre, sigma = float(measurements.mean()), mean_range / _D2
     range_limit = mean_range + ACTION_SIGMAS * _D3 * sigma
-    outside_limits = np.abs(measurements - centre) > ACTION_SIGMAS * sigma
+    is_outside_limits = np.abs(measurements - centre) > ACTION_SIGMAS * sigma
     return ControlLimits(
         centre=centre,
         warning_low=centre - WARNING_SIGMAS * sigma,
@@ -222,7 +224,9 @@ def individuals_chart(values: npt.ArrayLike, files: Sequence[str]) -> ControlLim
         action_high=centre + ACTION_SIGMAS * sigma,
         mean_range=mean_range,
         range_limit=range_limit,
-        beyond=[file for file, is_outside in zip(files, outside_limits, strict=True) if is_outside],
+        beyond=[
+            file for file, is_outside in zip(files, is_outside_limits, strict=True) if is_outside
+        ],
         leaps=[
             file
             for file, moving_range in zip(files[1:], moving_ranges, strict=True)

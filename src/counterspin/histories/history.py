@@ -193,11 +193,11 @@ def _no_results_message(paths: Sequence[Path | str | Result], result_set: Result
             else unused_result.file
         )
         names_by_reason.setdefault(unused_result.reason, []).append(name)
-    reasons = "; ".join(
+    reasons_text = "; ".join(
         f"{', '.join(names)}: {reason}" for reason, names in names_by_reason.items()
     )
-    remainder = f"; and {len(unused_results) - 5} more" if len(unused_results) > 5 else ""
-    return f"no usable results: {reasons}{remainder}"
+    remainder_text = f"; and {len(unused_results) - 5} more" if len(unused_results) > 5 else ""
+    return f"no usable results: {reasons_text}{remainder_text}"
 
 
 def _shared_record_notes(records_by_serial: dict[str, list[DatedResult]]) -> list[str]:
@@ -265,7 +265,7 @@ def _make_instrument_history(
         correlation=None if shared_inputs is None else shared_inputs.largest_correlation,
         control=individuals_chart(values, [record.file for record in records]),
         specification=_latest_specification(records),
-        due=_make_due(records, drift, verdict, reliability),
+        due=_make_due_date(records, drift, verdict, reliability),
         repeatability=evaluate_repeatability(records, covariance, has_drift=verdict == "drifts"),
         laboratories=_compare_laboratories(records, covariance),
     )
@@ -280,7 +280,7 @@ def _latest_specification(records: Sequence[DatedResult]) -> SpecificationLimits
     return None
 
 
-def _make_due(
+def _make_due_date(
     records: Sequence[DatedResult], drift: Drift | None, verdict: Verdict, reliability: float
 ) -> DueDate:
     specification_limits = _latest_specification(records)
@@ -323,9 +323,10 @@ def _compare_laboratories(
         dofs = [first_dof for i in indices if (first_dof := records[i].dof) is not None]
         weights_by_laboratory[name] = weights / weights.sum(), min(dofs, default=None)
     pairs = []
-    for (first, (first_weights, first_dof)), (second, (second_weights, second_dof)) in combinations(
-        weights_by_laboratory.items(), 2
-    ):
+    for (first, (first_weights, first_dof)), (
+        second,
+        (second_weights, second_dof),
+    ) in combinations(weights_by_laboratory.items(), 2):
         estimates = [
             (float(weights @ values), float(np.sqrt(weights @ full_covariance @ weights)), dof)
             for weights, dof in ((first_weights, first_dof), (second_weights, second_dof))

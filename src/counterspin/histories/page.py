@@ -64,7 +64,7 @@ def history_blocks(history: History) -> Iterator[Block]:
             f"{gravity} m/s^2.",
             "quiet",
         )
-    yield from _unused_blocks(history)
+    yield from _unused_result_blocks(history)
 
 
 def verdict_sentences(history: History, instrument: InstrumentHistory) -> str:
@@ -153,11 +153,11 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
         elif instrument.specification is not None:
             yield f"No due date can be stated with {probability_text}: {due.reason}."
     for pair in instrument.laboratories:
-        agreement = "agree" if pair.agrees else "differ significantly"
+        agreement_text = "agree" if pair.agrees else "differ significantly"
         difference_text = format_number(pair.difference * factor, 2)
         yield (
             f"{pair.second} minus {pair.first} = {difference_text} {unit}, E_n = {pair.e_n:.2f}; "
-            f"the results {agreement}."
+            f"the results {agreement_text}."
         )
 
 
@@ -205,7 +205,7 @@ def _repeatability_blocks(history: History, repeatability: Repeatability) -> Ite
         ),
         rows=tuple(rows),
     )
-    reference = "a line" if repeatability.about == "line" else "the mean"
+    reference_text = "a line" if repeatability.about == "line" else "the mean"
     unreliable_conditions = [
         _CONDITION_NAMES[name][1]
         for name, component in repeatability.components.items()
@@ -217,8 +217,8 @@ def _repeatability_blocks(history: History, repeatability: Repeatability) -> Ite
         if name != "day"
     ]
     yield Paragraph(
-        f"These standard deviations about {reference} add to the uncertainties of the results. "
-        "They are estimated by restricted likelihood."
+        f"These standard deviations about {reference_text} add to the uncertainties of the "
+        "results. They are estimated by restricted likelihood."
         + (
             (
                 f" With few {' and '.join(unreliable_conditions)}, the estimates are unreliable. "
@@ -347,8 +347,8 @@ def _instrument_name(instrument: InstrumentHistory) -> str:
 def _scatter_sentence(scatter: Scatter) -> str:
     if scatter.p is None or scatter.birge is None:
         return "no degree of freedom"
-    p, birge = format_number(scatter.p, 2), format_number(scatter.birge, 2)
-    return f"chi-square p = {p}, Birge ratio {birge}"
+    p_text, birge_text = format_number(scatter.p, 2), format_number(scatter.birge, 2)
+    return f"chi-square p = {p_text}, Birge ratio {birge_text}"
 
 
 def _result_table(history: History, instrument: InstrumentHistory) -> Table:
@@ -369,12 +369,12 @@ def _result_table(history: History, instrument: InstrumentHistory) -> Table:
 
 def _result_row(point: Point, factor: float) -> tuple[str, ...]:
     value, u = point.value * factor, point.u * factor
-    rounded = round_to_uncertainty(value, u)
+    rounded_value = round_to_uncertainty(value, u)
     difference_text = "-"
     if point.difference is not None:
         difference_text = format_number(point.difference * factor, 2)
-        if rounded is not None and not rounded.exponent:
-            difference_text = rounded.format(point.difference * factor)
+        if rounded_value is not None and not rounded_value.exponent:
+            difference_text = rounded_value.format(point.difference * factor)
     return (
         point.date,
         point.file,
@@ -386,7 +386,7 @@ def _result_row(point: Point, factor: float) -> tuple[str, ...]:
     )
 
 
-def _unused_blocks(history: History) -> Iterator[Block]:
+def _unused_result_blocks(history: History) -> Iterator[Block]:
     for note in history.notes:
         yield Paragraph(f"Warning: {note}", "warning")
     for unused_result in history.damaged:

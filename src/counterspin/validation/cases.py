@@ -55,8 +55,10 @@ class Case:
             if self.absolute_tolerance is None
             else self.absolute_tolerance
         )
-        absolute = limit if isinstance(limit, float | int) else limit[name]
-        return np.asarray(absolute) + self.relative_tolerance * np.abs(self.expected[name])
+        absolute_tolerance = limit if isinstance(limit, float | int) else limit[name]
+        return np.asarray(absolute_tolerance) + self.relative_tolerance * np.abs(
+            self.expected[name]
+        )
 
 
 @cache

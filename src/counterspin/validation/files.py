@@ -139,7 +139,8 @@ def check_schema(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
         return 1.0
 
     altered_documents = [
-        re.sub(old, new, certificate_xml, flags=re.DOTALL) for old, new in _INVALID_EDITS
+        re.sub(pattern, replacement, certificate_xml, flags=re.DOTALL)
+        for pattern, replacement in _INVALID_EDITS
     ]
     return {
         "original": conforms(certificate_xml),
@@ -171,10 +172,10 @@ def verify_signatures(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 def certified_estimates(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
     """Return value and u of each term in the certificate of a result."""
-    numbers = module.read_certificate(
+    certificate = module.read_certificate(
         make_certificate(inputs["file"]), "the certificate of the case"
     )
-    coefficients = numbers.accelerometers[inputs["accelerometer"]].coefficients
+    coefficients = certificate.accelerometers[inputs["accelerometer"]].coefficients
     return {
         symbol: [coefficient.value, coefficient.u] for symbol, coefficient in coefficients.items()
     }
@@ -195,12 +196,14 @@ def make_certificate(file: str, changes: Mapping[str, Any] | None = None) -> byt
 
     changes: Changed fields of the result's accelerometer and inputs.
     """
-    data = deepcopy(load_document(file))
-    for section, keys in (changes or {}).items():
-        data["result"][section] |= keys
-    period = {key: date.fromisoformat(data["lab"]["certificate"][key]) for key in ("begin", "end")}
-    lab = data["lab"] | {"certificate": data["lab"]["certificate"] | period}
-    return certificate(Result.model_validate(data["result"]), lab).xml
+    document = deepcopy(load_document(file))
+    for section, fields in (changes or {}).items():
+        document["result"][section] |= fields
+    calibration_dates = {
+        key: date.fromisoformat(document["lab"]["certificate"][key]) for key in ("begin", "end")
+    }
+    lab = document["lab"] | {"certificate": document["lab"]["certificate"] | calibration_dates}
+    return certificate(Result.model_validate(document["result"]), lab).xml
 
 
 def certificate_values(_: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:

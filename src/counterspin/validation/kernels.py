@@ -104,7 +104,7 @@ def _run_normal_gravity(module: Any, inputs: Inputs) -> Outputs:
     return {"gravity": module.normal_gravity(math.radians(inputs["degrees"]))}
 
 
-def _run_indicated(module: Any, inputs: Inputs) -> Outputs:
+def _run_indicated_force(module: Any, inputs: Inputs) -> Outputs:
     force = np.array([inputs["force"]])
     return {"indicated": module.indicated(module.QX, inputs["coefficients"], force)[0]}
 
@@ -197,12 +197,12 @@ def _run_acceptance_limits(module: Any, inputs: Inputs) -> Outputs:
 
 def _run_decide(module: Any, inputs: Inputs) -> Outputs:
     """Return the verdict as a number: 1 pass, 0 undecided, -1 fail."""
-    limits = module.Specification("", inputs["low"], inputs["high"], "")
+    specification = module.Specification("", inputs["low"], inputs["high"], "")
     estimate = (inputs[key] for key in ("value", "u", "dof"))
-    decision = module.decide(*estimate, limits, module.DecisionRule(**inputs["rule"]))
+    decision = module.decide(*estimate, specification, module.DecisionRule(**inputs["rule"]))
     verdict_number = {"pass": 1.0, "undecided": 0.0, "fail": -1.0}[decision.verdict]
-    risk = {} if decision.risk is None else {"risk": decision.risk}
-    return {"verdict": verdict_number, "guard_band": decision.guard_band, **risk}
+    risk_output = {} if decision.risk is None else {"risk": decision.risk}
+    return {"verdict": verdict_number, "guard_band": decision.guard_band, **risk_output}
 
 
 def _run_random_walk(module: Any, inputs: Inputs) -> Outputs:
@@ -366,7 +366,7 @@ _KERNELS: Final[Mapping[str, Callable[[Any, Inputs], Outputs]]] = {
     "fit_spindle": _run_fit_spindle,
     "Stations.forces": _run_forces,
     "normal_gravity": _run_normal_gravity,
-    "indicated": _run_indicated,
+    "indicated": _run_indicated_force,
     "parabola": _run_parabola,
     "second_stage_columns": _run_second_stage_columns,
     "fit": _run_fit,
