@@ -13,7 +13,7 @@ from counterspin.correction.instrument import determined_terms, term_covariance
 from counterspin.errors import CampaignError
 from counterspin.inference.identifiability import assess
 from counterspin.inference.least_squares import reduce_block, solve
-from counterspin.studies.draws import VariedQuantity, _correlate
+from counterspin.studies.draws import VariedQuantity, _correlate_samples
 
 CORRELATION = np.array([[1.0, 0.4, -0.3], [0.4, 1.0, 0.0], [-0.3, 0.0, 1.0]])
 SD = np.array([2.0, 0.5, 1.5])
@@ -191,7 +191,7 @@ def test_studies_draw_correlated_truths():
     ]
     rng = np.random.default_rng(1)
     drawn = [quantity.draw(rng, 1, 40_000) for quantity in quantities]
-    _correlate(quantities, drawn)
+    _correlate_samples(quantities, drawn)
     values = np.vstack(drawn)
     # The standard deviation of a correlation is (1 - r^2) N^-1/2 = 0.0026.
     assert np.corrcoef(values)[0, 1] == pytest.approx(-0.7, abs=5 * 0.0026)

@@ -47,7 +47,7 @@ def test_simulation_agrees_with_differential_equation(nominal_reference, drift):
             - TABLE_1["K_IP"] * a
         )
 
-    time, error = simulate_strobes(rate, drift=drift, nominal_reference=nominal_reference)
+    time, error = simulate_strobes(rate, drift=drift, uses_nominal_angle=nominal_reference)
     few = 8  # strobes; more strobes take longer without new information
     solution = solve_ivp(
         lambda t, state: [state[1], indicated_acceleration(t)],

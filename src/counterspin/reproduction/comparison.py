@@ -70,11 +70,11 @@ def second_stage_rows() -> tuple[Row, ...]:
     plan_runs = simulate_runs()
     printed_runs = _replace_sigma_b2(plan_runs, PRINTED_SIGMA_B2)
 
-    def k_ii_uncertainty(stage: SecondStage) -> float:
-        return stage.estimate("K_II")[1]
+    def k_ii_uncertainty(second_stage_result: SecondStage) -> float:
+        return second_stage_result.estimate("K_II")[1]
 
-    u_printed_b2 = k_ii_uncertainty(_fit_printed_second_stage(printed_runs))
-    u_standard_gravity = k_ii_uncertainty(
+    u_k_ii = k_ii_uncertainty(_fit_printed_second_stage(printed_runs))
+    u_with_standard_gravity = k_ii_uncertainty(
         _fit_printed_second_stage(_replace_gravity(printed_runs, STANDARD_GRAVITY))
     )
     columns = as_printed.second_stage_columns(np.array(RATES), RADIUS, GRAVITY, TABLE_1["K_I"])
@@ -91,21 +91,21 @@ def second_stage_rows() -> tuple[Row, ...]:
         make_row(
             "printed_b2",
             "from the printed sigma(b2), Eq. 26, g = 9.8",
-            u_printed_b2,
-            f"reproduced to {100 * abs(1 - u_printed_b2 / PRINTED_SIGMA_K_II):.2f} %; the paper "
-            f"does not state g, and g = {GRAVITY * PRINTED_SIGMA_K_II / u_printed_b2:.4f} m/s^2 "
+            u_k_ii,
+            f"reproduced to {100 * abs(1 - u_k_ii / PRINTED_SIGMA_K_II):.2f} %; the paper "
+            f"does not state g, and g = {GRAVITY * PRINTED_SIGMA_K_II / u_k_ii:.4f} m/s^2 "
             "would give the printed value",
         ),
         make_row(
             "standard_gravity",
             "same calculation with g = 9.80665",
-            u_standard_gravity,
-            f"reproduced to {100 * abs(1 - u_standard_gravity / PRINTED_SIGMA_K_II):.2f} %",
+            u_with_standard_gravity,
+            f"reproduced to {100 * abs(1 - u_with_standard_gravity / PRINTED_SIGMA_K_II):.2f} %",
         ),
         make_row(
             "quarter",
             "same calculation with the factor 1/4 for K_II, g = 9.8",
-            float(u_printed_b2 * column_ratio),
+            float(u_k_ii * column_ratio),
             "half the sensitivity, twice the uncertainty",
         ),
         make_row(
@@ -189,7 +189,7 @@ def ripple_rows() -> tuple[Row, ...]:
         np.array(RATES), RADIUS, GRAVITY, TABLE_1["K_I"]
     )
     exact_column = np.array([parabola("K_II", QX, rate, RADIUS, GRAVITY) for rate in RATES])
-    runs, drifting_runs = simulate_runs(), simulate_runs(nominal_reference=True, drift=DRIFT_RATE)
+    runs, drifting_runs = simulate_runs(), simulate_runs(uses_nominal_angle=True, drift=DRIFT_RATE)
 
     def fit_k_ii(design: Array) -> tuple[float, float]:
         """Return K_II and its standard uncertainty from a weighted fit of these columns."""
@@ -201,7 +201,7 @@ def ripple_rows() -> tuple[Row, ...]:
         fit_k_ii(exact_column[:, None]),
         fit_k_ii(np.column_stack([exact_column, printed_columns[:, 1]])),
     )
-    ratio_stage = _fit_printed_second_stage(runs, ripple="ratio")
+    ratio_fit = _fit_printed_second_stage(runs, ripple="ratio")
     drift_label = f"drift of {DRIFT_RATE:g} 1/s instead of ripple, nominal angle:"
     return (
         Row(
@@ -233,7 +233,7 @@ def ripple_rows() -> tuple[Row, ...]:
             "separation.ripple",
             "(w_p/w0) sin(phi) estimated by Eq. 26 (paper: Table 2)",
             RIPPLE_RATIO * math.sin(RIPPLE_PHASE),
-            ratio_stage.estimate(RIPPLE)[0],
+            ratio_fit.estimate(RIPPLE)[0],
             "",
             "the second unknown does not detect the existing ripple",
             ".1e",

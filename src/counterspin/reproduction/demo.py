@@ -89,11 +89,11 @@ def demo(folder: Path | str = DEFAULT_FOLDER, *, overwrite: bool = False) -> Dem
 def write_description(folder: Path) -> None:
     """Write the paper's plan; CounterspinError if the folder holds another campaign or records."""
     text = (files("counterspin.reproduction") / "paper.toml").read_text("utf-8")
-    target = folder / DESCRIPTION_NAME
+    path = folder / DESCRIPTION_NAME
     try:
-        if target.exists() and read_file(target) != text.encode():
+        if path.exists() and read_file(path) != text.encode():
             raise ExistingFileError(
-                f"{target} belongs to another campaign, or to an earlier or edited demonstration; "
+                f"{path} belongs to another campaign, or to an earlier or edited demonstration; "
                 "remove it, or choose another folder"
             )
         existing_records = [
@@ -101,12 +101,12 @@ def write_description(folder: Path) -> None:
             for run in parse_toml(text)["runs"]
             if (record_path := folder / run["record"]).exists()
         ]
-        if existing_records and not target.exists():
+        if existing_records and not path.exists():
             raise ExistingFileError(
                 f"{existing_records[0]} does not belong to a demonstration; choose another folder"
             )
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise WriteError(f"{folder} cannot be used ({error.strerror})") from error
-    if not target.exists():
-        write_text(target, text)
+    if not path.exists():
+        write_text(path, text)

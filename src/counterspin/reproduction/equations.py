@@ -209,7 +209,7 @@ def _constant_rows() -> tuple[Row, ...]:
         Row(
             "eq15.term_constants",
             "Eq. 15: K_II, K_III and K_IP constants, 2 pi rad/s",
-            _printed_constant(second_order=TABLE_1["K_II"]),
+            _printed_constant(second_order_term=TABLE_1["K_II"]),
             float(term_constants),
             "m",
             "Eq. 15 omits the constants of the expansion below Eq. 13; the error affects only b0",
@@ -245,7 +245,7 @@ def _fit_simulated_strobes(ripple: float, drift: float, radius_error: float = 0.
         truth={"K_I": TABLE_1["K_I"]},
         ripple_ratio=ripple / RATE,
         drift=drift,
-        nominal_reference=True,
+        uses_nominal_angle=True,
         radius_error=radius_error,
     )
     return fit_first_stage(time, error).coefficients
@@ -258,12 +258,12 @@ def _fit_printed_strobes(ripple: float, drift: float, phase: float) -> Array:
 
 
 def _printed_constant(
-    *, drift: float = 0.0, second_order: float = 0.0, radius_error: float = 0.0
+    *, drift: float = 0.0, second_order_term: float = 0.0, radius_error: float = 0.0
 ) -> float:
     """Return the constant of Eq. 15 without ripple, in m."""
     start_time = np.zeros(1)
     (error,) = _printed_strobe_error(
-        start_time, drift=drift, second_order=second_order, radius_error=radius_error
+        start_time, drift=drift, second_order=second_order_term, radius_error=radius_error
     )
     return float(error)
 

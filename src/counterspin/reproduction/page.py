@@ -75,14 +75,14 @@ def demonstration_report(demonstration: Demonstration) -> Report:
         rows=tuple(
             (
                 symbol,
-                format_number(truth * find_display_unit(term(symbol).unit)[1], 12),
+                format_number(true_value * find_display_unit(term(symbol).unit)[1], 12),
                 *(
                     _coefficient_text(result, symbol, symbol in campaign.model.considered)
                     for result in method_results
                 ),
                 find_display_unit(term(symbol).unit)[0],
             )
-            for symbol, truth in demonstration.truth.items()
+            for symbol, true_value in demonstration.truth.items()
         ),
         quiet_rows=frozenset(
             row
@@ -158,13 +158,13 @@ def demonstration_plots(demonstration: Demonstration) -> list[Plot]:
             )
         )
         # All strobes would hide the curve; the plot of residuals shows them.
-        subset = slice(None, None, max(1, time.size // 25))
-        displacement = (error - b0 - b1 * time - bias_curvature * time**2)[subset]
+        plotted_slice = slice(None, None, max(1, time.size // 25))
+        displacement = (error - b0 - b1 * time - bias_curvature * time**2)[plotted_slice]
         label = f"{run.name}, {run.trajectory.spindle.rate:.4f} rad/s"
         displacement_series.append(
             PlotSeries(
                 label,
-                _to_tuple(time[subset]),
+                _to_tuple(time[plotted_slice]),
                 _to_tuple(displacement),
                 None,
                 None,

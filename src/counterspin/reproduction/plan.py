@@ -130,7 +130,7 @@ def simulate_strobes(
     truth: Mapping[str, float] = TABLE_1,
     drift: float = 0.0,
     ripple_ratio: float = RIPPLE_RATIO,
-    nominal_reference: bool = False,
+    uses_nominal_angle: bool = False,
     radius_error: float = 0.0,
 ) -> tuple[Array, Array]:
     """Simulate the strobed displacement error of one run, without noise (Eq. 10-12).
@@ -144,7 +144,7 @@ def simulate_strobes(
     truth: Coefficients by symbol, in g-units.
     drift: C, 1/s.
     ripple_ratio: w_p/w0; the phase is `RIPPLE_PHASE`.
-    nominal_reference: Take the strobes and the reference from w0 t instead of the true angle.
+    uses_nominal_angle: Take the strobes and the reference from w0 t instead of the true angle.
     radius_error: True radius minus the nominal radius of start position and reference, m.
     Returns: Strobe times, s, and displacement errors, m, each of shape (100,).
     """
@@ -152,7 +152,7 @@ def simulate_strobes(
     spindle = Spindle(rate, drift=drift, ripples=(ripple,))
     trajectory = Trajectory(spindle, RADIUS + radius_error, SITE)
     angle = math.pi / 2 + 2 * math.pi * np.arange(1.0, N_STROBES + 1.0)
-    time: Array = angle / rate if nominal_reference else spindle.time_at(angle)
+    time: Array = angle / rate if uses_nominal_angle else spindle.time_at(angle)
 
     def sensed_acceleration(t: Array) -> Array:
         force = indicated(QX, truth, trajectory.specific_force(t) / GRAVITY) * GRAVITY
@@ -170,7 +170,7 @@ def fit_first_stage(time: Array, error: Array) -> Parabola:
     return first_stage(Strobes(time, error, np.ones(time.size), lost=0), SIGMA_DISPLACEMENT)
 
 
-def simulate_runs(*, drift: float = 0.0, nominal_reference: bool = False) -> list[StrobedRun]:
+def simulate_runs(*, drift: float = 0.0, uses_nominal_angle: bool = False) -> list[StrobedRun]:
     """Simulate the plan's three runs with Tables 1 and 2; a drift replaces the ripple."""
     ripple_ratio = RIPPLE_RATIO if drift == 0.0 else 0.0
     return [
@@ -182,7 +182,7 @@ def simulate_runs(*, drift: float = 0.0, nominal_reference: bool = False) -> lis
                     rate,
                     drift=drift,
                     ripple_ratio=ripple_ratio,
-                    nominal_reference=nominal_reference,
+                    uses_nominal_angle=uses_nominal_angle,
                 )
             ),
         )

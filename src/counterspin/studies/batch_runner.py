@@ -143,7 +143,7 @@ class StudyEngine:
         )
 
     def run_batch(
-        self, batch: int, trials: int, *, keep_trials: bool = False
+        self, batch: int, n_trials: int, *, keep_trials: bool = False
     ) -> tuple[Array, Array | None]:
         """Run the trials of one batch.
 
@@ -154,7 +154,7 @@ class StudyEngine:
         """
         draws = self.truth.draw(random_stream(self.seed, batch, TRUTH_STREAM), self.batch_size)
         covariate_values = [
-            _covariate_values(draws, covariate)[:trials]
+            _covariate_values(draws, covariate)[:n_trials]
             for covariate in self.accumulator.covariates
         ]
         sums, values = [], []
@@ -164,7 +164,7 @@ class StudyEngine:
             )
             # Full simulation is slow: run only the requested trials.
             simulated_draws = (
-                draws.slice_trials(0, trials)
+                draws.slice_trials(0, n_trials)
                 if analysis_engine.cost_class in ("full", "readings")
                 else draws
             )
@@ -172,9 +172,9 @@ class StudyEngine:
             for row, coefficient in zip(
                 analysis_engine.rows, analysis_engine.coefficients, strict=True
             ):
-                truth = draws.mean(coefficient.owner, coefficient.symbol)[:trials]
-                estimate = results.estimate[row, :trials]
-                u, dof = results.u[row, :trials], results.dof[row, :trials]
+                truth = draws.mean(coefficient.owner, coefficient.symbol)[:n_trials]
+                estimate = results.estimate[row, :n_trials]
+                u, dof = results.u[row, :n_trials], results.dof[row, :n_trials]
                 sums.append(self.accumulator.accumulate(estimate, truth, u, dof, covariate_values))
                 if keep_trials:
                     values.append(np.stack([truth, estimate, np.broadcast_to(u, truth.shape)]))
@@ -216,10 +216,10 @@ class BatchResults:
     keep: True: keep each trial.
     """
 
-    def __init__(self, engine: StudyEngine, trials: int, *, keep_trials: bool = False) -> None:
-        self.trials, self.keep_trials = trials, keep_trials
+    def __init__(self, engine: StudyEngine, n_trials: int, *, keep_trials: bool = False) -> None:
+        self.trials, self.keep_trials = n_trials, keep_trials
         self.batch_size, self.coefficients = engine.batch_size, engine.coefficients
-        n_batches = -(-trials // self.batch_size)
+        n_batches = -(-n_trials // self.batch_size)
         self.is_done = np.zeros(n_batches, dtype=bool)
         self.sums = np.zeros((n_batches, len(self.coefficients), engine.accumulator.width))
         self.values: dict[int, Array] = {}
@@ -245,15 +245,15 @@ class BatchResults:
             self.is_done[batch] = True
 
 
-def expected_duration(engine: StudyEngine, trials: int) -> float:
+def expected_duration(engine: StudyEngine, n_trials: int) -> float:
     """Return the approximate duration of trials on a single worker, s.
 
     The durations of trials with full records differ widely, so that a trial is timed.
     """
-    seconds = 0.0
+    total_seconds = 0.0
     for analysis_engine in engine.analysis_engines:
         duration = _TRIAL_DURATIONS[analysis_engine.cost_class]
-        if analysis_engine.cost_class == "full" and duration * trials > _MIN_TIMED_DURATION:
+        if analysis_engine.cost_class == "full" and duration * n_trials > _MIN_TIMED_DURATION:
             draws = engine.truth.draw(random_stream(engine.seed, 0, TRUTH_STREAM), 1)
             for _ in range(2):  # the first one includes imports
                 start_time = time.perf_counter()
@@ -261,12 +261,12 @@ def expected_duration(engine: StudyEngine, trials: int) -> float:
                     draws, random_stream(engine.seed, 0, NOISE_STREAM)
                 )
                 duration = time.perf_counter() - start_time
-        seconds += duration * trials
-    return seconds
+        total_seconds += duration * n_trials
+    return total_seconds
 
 
 @lru_cache(maxsize=2)
-def _unpickle(pickled_engine: bytes) -> StudyEngine:
+def _unpickle_engine(pickled_engine: bytes) -> StudyEngine:
     study_engine: StudyEngine = pickle.loads(pickled_engine)
     return study_engine
 
@@ -275,7 +275,7 @@ def run_task(
     pickled_engine: bytes, first_batch: int, trial_counts: tuple[int, ...], keep_trials: bool
 ) -> tuple[Array, Any]:
     """Run consecutive batches with the given numbers of trials."""
-    study_engine = _unpickle(pickled_engine)
+    study_engine = _unpickle_engine(pickled_engine)
     batches = [
         study_engine.run_batch(first_batch + i, n, keep_trials=keep_trials)
         for i, n in enumerate(trial_counts)
@@ -388,7 +388,7 @@ def _run_in_pool(
     n_crashes = 0
     crash_errors: tuple[type[BaseException], ...] = (BrokenProcessPool,)
     while not batch_results.is_done.all():
-        n_done_before = int(batch_results.is_done.sum())
+        n_done_at_start = int(batch_results.is_done.sum())
         try:
             with nullcontext(pool) if pool else worker_pool(workers, __name__) as current_pool:
                 crash_errors = current_pool.death_errors
@@ -396,7 +396,7 @@ def _run_in_pool(
         except crash_errors as error:
             # A worker was killed, or ran out of memory. Its tasks are submitted again.
             pool = None
-            n_crashes = 0 if int(batch_results.is_done.sum()) > n_done_before else n_crashes + 1
+            n_crashes = 0 if int(batch_results.is_done.sum()) > n_done_at_start else n_crashes + 1
             if n_crashes >= _MAX_CONSECUTIVE_CRASHES:
                 raise CounterspinError(
                     "the worker processes end immediately. Use fewer `workers`, or check "
@@ -414,21 +414,21 @@ def _submit_tasks(
 ) -> None:
     # Finished tasks must not change the iterator.
     tasks = iter(list(_remaining_tasks(batch_results, task_size)))
-    pending: dict[Future[tuple[Array, Any]], tuple[int, tuple[int, ...]]] = {}
+    pending_tasks: dict[Future[tuple[Array, Any]], tuple[int, tuple[int, ...]]] = {}
     try:
         while True:
             max_pending = _MAX_PENDING_TASKS * pool.size
-            while len(pending) < max_pending and (task := next(tasks, None)) is not None:
-                pending[
+            while len(pending_tasks) < max_pending and (task := next(tasks, None)) is not None:
+                pending_tasks[
                     pool.executor.submit(run_task, pickled_engine, *task, batch_results.keep_trials)
                 ] = task
-            if not pending:
+            if not pending_tasks:
                 return
-            done_futures, _ = wait(pending, return_when=FIRST_COMPLETED)
+            done_futures, _ = wait(pending_tasks, return_when=FIRST_COMPLETED)
             for future in done_futures:
-                first_batch, trial_counts = pending.pop(future)
+                first_batch, trial_counts = pending_tasks.pop(future)
                 batch_results.store_task(first_batch, *future.result())
                 reporter(sum(trial_counts))
     finally:
-        for future in pending:
+        for future in pending_tasks:
             future.cancel()

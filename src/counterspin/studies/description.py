@@ -222,19 +222,21 @@ def read_study(path: Path | str | Campaign) -> StudyDescription:
 
 
 def parse_study(
-    raw: dict[str, Any], file: Path, campaign_file: Path | None = None
+    raw_document: dict[str, Any], file: Path, campaign_file: Path | None = None
 ) -> StudyDescription:
     """Read and check the document of a study; raise the errors of `read_study`.
 
-    campaign_file: Description of the campaign in `raw`; None: `raw` may name another file.
+    campaign_file: Description of the campaign; None: `raw_document` may name another file.
     """
-    problems = Problems(raw)
+    problems = Problems(raw_document)
     document, source_file = (
-        (raw, campaign_file) if campaign_file else _load_campaign_document(raw, file, problems)
+        (raw_document, campaign_file)
+        if campaign_file
+        else _load_campaign_document(raw_document, file, problems)
     )
     file_names = () if source_file in (file, campaign_file) else (str(source_file),)
     campaign = _resolve_campaign(document, source_file, problems, file_names)
-    study_section = raw.get("study", {})
+    study_section = raw_document.get("study", {})
     settings = problems.check(StudySettings, study_section, ("study",))
     if campaign is None or settings is None:
         raise campaign_error(file, problems.lines)
@@ -261,7 +263,10 @@ def parse_study(
             key, entry_path, entry, campaign, recorders, problems
         )
     for index, quantity in enumerate(varied_quantities):
-        if any(_is_same_quantity(quantity, other) for other in varied_quantities[:index]):
+        if any(
+            _is_same_quantity(quantity, earlier_quantity)
+            for earlier_quantity in varied_quantities[:index]
+        ):
             problems.add(("study", "vary"), f"{quantity.symbol} is listed twice", "duplicate-entry")
     analyses = []
     has_readings = campaign.readings or campaign.posed
@@ -367,11 +372,11 @@ def _resolve_campaign(
     return campaign
 
 
-def _is_same_quantity(first: VariedQuantity, second: VariedQuantity) -> bool:
+def _is_same_quantity(quantity: VariedQuantity, other_quantity: VariedQuantity) -> bool:
     ripple_symbols = {"spindle.ripple.ratio", "spindle.ripple.amplitude"}
-    if {first.symbol, second.symbol} == ripple_symbols:
+    if {quantity.symbol, other_quantity.symbol} == ripple_symbols:
         return True
-    return (first.owner, first.symbol) == (second.owner, second.symbol)
+    return (quantity.owner, quantity.symbol) == (other_quantity.owner, other_quantity.symbol)
 
 
 def _walk_entries(

@@ -33,7 +33,7 @@ NOISE_LEVEL_UNITS: Final = {
 }
 
 #: Noise of noise-free records, by key of [noise].
-NOISE_FREE: Final[Mapping[str, float]] = dict.fromkeys(NOISE_UNITS, 0.0)
+ZERO_NOISE: Final[Mapping[str, float]] = dict.fromkeys(NOISE_UNITS, 0.0)
 
 #: (owner, symbol, run) of a true value; run is None for a value that all runs share.
 TruthKey = tuple[str, str, int | None]
@@ -54,39 +54,42 @@ def random_stream(seed: int, batch: int, stream: int) -> np.random.Generator:
 
 
 def curvature_noise(
-    generator: np.random.Generator, white_noise: Array, curvature_scale: Array, trials: int
+    generator: np.random.Generator, white_noise: Array, curvature_scale: Array, n_trials: int
 ) -> Array:
     """Return the error of b2 due to white noise, m/s^2, shape (runs, trials).
 
     white_noise: Standard deviation of a strobe in each trial, m, shape (trials,) or (1,).
     curvature_scale: sigma/u(b2) of each run, s^2, shape (runs, trials) or (runs, 1).
     """
-    noise = generator.standard_normal((curvature_scale.shape[0], trials))
+    noise = generator.standard_normal((curvature_scale.shape[0], n_trials))
     noise *= white_noise / curvature_scale
     return noise
 
 
 def residual_variances(
-    generator: np.random.Generator, white_noise: Array, dof: Array, trials: int
+    generator: np.random.Generator, white_noise: Array, dof: Array, n_trials: int
 ) -> Array:
     """Return the residual variance of each run, m^2, shape (runs, trials).
 
     dof: Degrees of freedom of each run's residuals, shape (runs,).
     """
-    variances = np.stack([generator.standard_gamma(0.5 * run_dof, trials) for run_dof in dof])
+    variances = np.stack([generator.standard_gamma(0.5 * run_dof, n_trials) for run_dof in dof])
     variances *= 2.0 * white_noise**2 / dof[:, None]
     return variances
 
 
 def estimate_noise(
-    generator: np.random.Generator, sqrt_covariance: Array, noise_ratio: Array | float, trials: int
+    generator: np.random.Generator,
+    sqrt_covariance: Array,
+    noise_ratio: Array | float,
+    n_trials: int,
 ) -> Array:
     """Return the errors of the estimates of a joint fit due to noise, shape (c, trials).
 
     sqrt_covariance: A square root of the estimates' covariance, shape (c, c).
     noise_ratio: True noise divided by assumed noise, shape (trials,) or one number.
     """
-    noise: Array = sqrt_covariance @ generator.standard_normal((sqrt_covariance.shape[1], trials))
+    noise: Array = sqrt_covariance @ generator.standard_normal((sqrt_covariance.shape[1], n_trials))
     noise *= noise_ratio
     return noise
 
@@ -209,9 +212,11 @@ class Draws:
 
     def noise_sizes(self, sizes: Mapping[str, float]) -> dict[str, float]:
         """Return `sizes`, by key of [noise], with the mean values of varied noise levels."""
-        levels = {symbol: float(level.mean()) for symbol, level in self.noise_levels.items()}
-        sizes_by_key = {symbol.removeprefix("noise."): level for symbol, level in levels.items()}
-        return {**sizes, "displacement": float(self.white_noise.mean()), **sizes_by_key}
+        mean_levels = {symbol: float(level.mean()) for symbol, level in self.noise_levels.items()}
+        level_by_key = {
+            symbol.removeprefix("noise."): level for symbol, level in mean_levels.items()
+        }
+        return {**sizes, "displacement": float(self.white_noise.mean()), **level_by_key}
 
     def deviation(self, key: TruthKey) -> Array:
         """Return a true value minus its nominal or stated value, shape (n,) or (1,)."""
@@ -243,17 +248,22 @@ class Draws:
         value = self.values[owner, symbol]
         return np.broadcast_to(value.mean(axis=0), self.n_trials)
 
-    def true_spindle(self, base: Spindle, run: int) -> Spindle:
+    def true_spindle(self, nominal_spindle: Spindle, run: int) -> Spindle:
         """Return the true rotation of one run in the first trial."""
         cos, sin = (
             float(run_values(values, run)[0]) for values in (self.ripple_cos, self.ripple_sin)
         )
-        other_ripples = tuple(ripple for ripple in base.ripples if ripple.harmonic != 1)
+        other_ripples = tuple(ripple for ripple in nominal_spindle.ripples if ripple.harmonic != 1)
         first_harmonic = Ripple(
-            1, base.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos))
+            1, nominal_spindle.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos))
         )
         drift = float(run_values(self.drift, run)[0])
-        return Spindle(base.rate, drift, (first_harmonic, *other_ripples), base.start_angle)
+        return Spindle(
+            nominal_spindle.rate,
+            drift,
+            (first_harmonic, *other_ripples),
+            nominal_spindle.start_angle,
+        )
 
 
 @frozen
@@ -326,7 +336,7 @@ class StudyTruth:
         all_samples = [
             quantity.draw(generator, n_runs, n_trials) for quantity in self.varied_quantities
         ]
-        _correlate(self.varied_quantities, all_samples)
+        _correlate_samples(self.varied_quantities, all_samples)
         for quantity, samples in zip(self.varied_quantities, all_samples, strict=True):
             if quantity.symbol == DRIFT:
                 drift = samples
@@ -367,12 +377,14 @@ class StudyTruth:
 
     def rotation_bounds(self, run: int) -> Array:
         """Return the lowest and highest drift, ripple cosine and ripple sine, shape (3, 2)."""
-        ratio, phase = self.bounds(RIPPLE_RATIO, run), self.bounds(RIPPLE_PHASE, run)[0]
+        ratio_bounds, phase = self.bounds(RIPPLE_RATIO, run), self.bounds(RIPPLE_PHASE, run)[0]
         if self.varies(RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
-            max_ratio = max(map(abs, ratio))
+            max_ratio = max(map(abs, ratio_bounds))
             cos, sin = (-max_ratio, max_ratio), (-max_ratio, max_ratio)
         else:
-            cos, sin = ((ratio[0] * function(phase),) * 2 for function in (np.cos, np.sin))
+            cos, sin = (
+                (ratio_bounds[0] * trig_function(phase),) * 2 for trig_function in (np.cos, np.sin)
+            )
         return np.array([self.bounds(DRIFT, run), cos, sin])
 
     def mean(self, owner: str, symbol: str) -> float:
@@ -440,7 +452,7 @@ class StudyTruth:
         return value, value
 
 
-def _correlate(quantities: Sequence[VariedQuantity], samples: Sequence[Array]) -> None:
+def _correlate_samples(quantities: Sequence[VariedQuantity], samples: Sequence[Array]) -> None:
     """Correlate independent samples of normal quantities in place."""
     indices = [
         index

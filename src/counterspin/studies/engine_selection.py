@@ -199,14 +199,20 @@ def _noise_stream(setup: SimulationSetup, analysis: Analysis) -> int:
 def _linear_joint_engine(
     setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, request: JointRequest
 ) -> AnalysisEngine:
-    joint_engine, undetermined = JointEngine.prepare(setup, request, truth)
+    joint_engine, undetermined_names = JointEngine.prepare(setup, request, truth)
     bounds_by_name = lower_bounds(truth, request.model, setup)
     coefficients = _reported_coefficients(
         analysis, [request.model.unknowns[index] for index in joint_engine.rows], bounds_by_name
     )
     rows, noise_stream = tuple(range(len(coefficients))), _noise_stream(setup, analysis)
     return AnalysisEngine(
-        joint_engine, "linear", noise_stream, _LINEAR_DESCRIPTION, rows, coefficients, undetermined
+        joint_engine,
+        "linear",
+        noise_stream,
+        _LINEAR_DESCRIPTION,
+        rows,
+        coefficients,
+        undetermined_names,
     )
 
 
@@ -234,22 +240,24 @@ def _full_joint_engine(
     noisy_readings = () if readings is None else readings.groups_with_true_noise
     bounds_by_name = lower_bounds(truth, request.model, setup, noisy_readings)
     unknowns = request.model.unknowns
-    determined = tuple(
+    determined_indices = tuple(
         index for index in request.reported_indices if unknowns[index].name in bounds_by_name
     )
-    undetermined = tuple(
-        unknowns[index].name for index in request.reported_indices if index not in determined
+    undetermined_names = tuple(
+        unknowns[index].name
+        for index in request.reported_indices
+        if index not in determined_indices
     )
     return AnalysisEngine(
-        engine=FullEngine(setup, request, request, rows=determined, readings=readings),
+        engine=FullEngine(setup, request, request, rows=determined_indices, readings=readings),
         cost_class="readings" if setup is None else "full",
         noise_stream=0 if setup is None or readings is not None else _noise_stream(setup, analysis),
         description=description,
-        rows=tuple(range(len(determined))),
+        rows=tuple(range(len(determined_indices))),
         coefficients=_reported_coefficients(
-            analysis, [unknowns[index] for index in determined], bounds_by_name
+            analysis, [unknowns[index] for index in determined_indices], bounds_by_name
         ),
-        undetermined=undetermined,
+        undetermined=undetermined_names,
     )
 
 
@@ -316,11 +324,11 @@ def _find_nonlinearity(
         assert isinstance(engine, JointEngine)
         rows = engine.rows
     full_engine = FullEngine(setup, request, analysis.joint_request, analysis.owner, rows)
-    mean_draw = truth.mean_draw()
+    mean_draws = truth.mean_draw()
     estimate_differences, u_differences, noise_effect = [], [], None
-    for trial_draws in (mean_draw, *_comparison_draws(truth)):
+    for trial_draws in (mean_draws, *_comparison_draws(truth)):
         draws = replace(
-            trial_draws, white_noise=mean_draw.white_noise, noise_levels=mean_draw.noise_levels
+            trial_draws, white_noise=mean_draws.white_noise, noise_levels=mean_draws.noise_levels
         )
         full_results = full_engine.run_trials(draws, np.random.default_rng(0))
         linear_results = engine.run_trials(
@@ -364,8 +372,8 @@ def _fit_estimate(
     """Return the estimates of a single fit including nominal values, shape (c, 1)."""
     records = TrialRecords.from_draws(setup, draws, np.random.default_rng(0))
     estimate = fit_records(records, request, truth).estimate
-    nominal = [request.model.unknowns[row].nominal for row in rows]
-    return np.asarray(estimate[list(rows), None] + np.array(nominal)[:, None])
+    nominal_values = [request.model.unknowns[row].nominal for row in rows]
+    return np.asarray(estimate[list(rows), None] + np.array(nominal_values)[:, None])
 
 
 def _comparison_draws(truth: StudyTruth) -> list[Draws]:

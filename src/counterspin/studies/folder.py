@@ -69,7 +69,7 @@ class StudyFolder:
             StudyResult.file_type,
             overwrite=self.overwrite or self.resume,
         )
-        figures = [
+        figure_paths = [
             *(self.directory / "z.svg", self.directory / "coverage.svg"),
             *sorted(self.directory.glob("bias-*.svg")),
         ]
@@ -82,11 +82,11 @@ class StudyFolder:
             or self.resume
             or (has_progress and self.overwrite)
         ):
-            if any(figure.exists() for figure in figures):
+            if any(figure_path.exists() for figure_path in figure_paths):
                 from counterspin.reports.charts import check_figures_writable
                 from counterspin.studies.page import FIGURE_TYPE
 
-                check_figures_writable(figures, FIGURE_TYPE, overwrite=True)
+                check_figures_writable(figure_paths, FIGURE_TYPE, overwrite=True)
             return
         if has_progress:
             raise CounterspinError(
@@ -94,7 +94,7 @@ class StudyFolder:
                 "choose another folder, or discard it with `overwrite=True`",
                 code="study-unfinished",
             )
-        for path in (trials_file, self.directory / _BATCHES_FOLDER, *figures):
+        for path in (trials_file, self.directory / _BATCHES_FOLDER, *figure_paths):
             if path.exists():
                 raise _foreign_file_error(path)
 

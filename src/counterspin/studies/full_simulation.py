@@ -106,11 +106,13 @@ class TrialRecords:
         if rotation.fit is None:
             return record
         stated_noise = self.setup.stated_timing_noise
-        stamp_errors = find_timestamp_errors(rotation.fit, record.time, record.count, stated_noise)
-        if stamp_errors is None:
+        timestamp_errors = find_timestamp_errors(
+            rotation.fit, record.time, record.count, stated_noise
+        )
+        if timestamp_errors is None:
             return record
-        record = replace(record, angle_error=rotation.fit.error, timestamp_errors=stamp_errors)
-        return record.correct_times(stamp_errors.prior[0])
+        record = replace(record, angle_error=rotation.fit.error, timestamp_errors=timestamp_errors)
+        return record.correct_times(timestamp_errors.prior[0])
 
     def strobed_run(self, run: int, name: str, request: TwoStageRequest) -> StrobedRun:
         """Return a run with one reading at each strobe."""
@@ -335,26 +337,28 @@ class TrialReadings:
         known_symbols -= {
             parameter.symbol for parameter in parameters if parameter.has_default_prior
         }
-        for (group, index_tuple), rate_sd in zip(self.numbered_groups, rate_sds, strict=True):
-            indices = list(index_tuple)
+        for (group, reading_indices), rate_sd in zip(self.numbered_groups, rate_sds, strict=True):
+            indices = list(reading_indices)
             coefficients = {
                 symbol: value
                 for (owner, symbol), value in mean_values.items()
                 if owner == group.accelerometer
             }
             # The analysis assumes the stated values of the inputs, not the true ones.
-            true_group = apply_rates(group, self.rates[indices])
+            true_readings = apply_rates(group, self.rates[indices])
             for symbol, input_error in input_errors.items():
-                true_group = perturb_input(true_group, symbol, input_error, known_symbols)
+                true_readings = perturb_input(true_readings, symbol, input_error, known_symbols)
             for name in dict.fromkeys(filter(None, group.clocks)):
                 symbol = find_symbol(name)
                 clock_error = draws.input_error(
                     symbol, name.removesuffix(symbol).removesuffix(".")
                 )[0]
-                true_group = perturb_input(true_group, name, float(clock_error), known_symbols)
-            true_group = true_group.with_rate_errors(rate_errors[indices] * rate_sd)
+                true_readings = perturb_input(
+                    true_readings, name, float(clock_error), known_symbols
+                )
+            true_readings = true_readings.with_rate_errors(rate_errors[indices] * rate_sd)
             value = compute_indications(
-                true_group, coefficients, shared_values, angle_errors[indices]
+                true_readings, coefficients, shared_values, angle_errors[indices]
             )
             value = value * (1.0 + group.in_si * input_errors["site.gravity"] / group.site.gravity)
             value = value + noise[indices]
@@ -458,8 +462,8 @@ class FullEngine:
         assert estimation is not None
         solution, unknowns = estimation.fit.solution, estimation.fit.model.unknowns
         rows = list(self.rows)
-        nominal = np.array([unknowns[i].nominal for i in rows])
-        return solution.estimate[rows] + nominal, solution.u[rows], estimation.dof[rows]
+        nominal_values = np.array([unknowns[i].nominal for i in rows])
+        return solution.estimate[rows] + nominal_values, solution.u[rows], estimation.dof[rows]
 
     def _run_two_stage(
         self, request: TwoStageRequest, records: TrialRecords

@@ -44,8 +44,8 @@ from counterspin.physics.terms import INPUTS, TERMS
 from counterspin.readings.linear import ReadingGroup, blocks_at
 from counterspin.studies.batch_runner import JointRequest, TrialResults
 from counterspin.studies.draws import (
-    NOISE_FREE,
     OTHER_QUANTITY_UNITS,
+    ZERO_NOISE,
     Draws,
     StudyTruth,
     TruthKey,
@@ -80,10 +80,10 @@ class JointEngine:
 
         Returns: the engine, and the names of coefficients that the records do not determine.
         """
-        model, mean_draw = request.model, truth.mean_draw()
+        model, mean_draws = request.model, truth.mean_draw()
         keys = _varied_keys(truth, len(setup.runs))
         records = TrialRecords(
-            replace(setup, noise=NOISE_FREE), mean_draw, np.random.default_rng(0)
+            replace(setup, noise=ZERO_NOISE), mean_draws, np.random.default_rng(0)
         )
         solution = fit_records(records, request, truth, keys)
         assessment = assess(solution, [unknown.name for unknown in model.of_interest])
@@ -92,7 +92,7 @@ class JointEngine:
             for index in request.reported_indices
             if assessment.determined[model.unknowns[index].name]
         ]
-        undetermined = tuple(
+        undetermined_names = tuple(
             model.unknowns[index].name for index in request.reported_indices if index not in rows
         )
         eigenvalues, eigenvectors = np.linalg.eigh(solution.covariance_noise[np.ix_(rows, rows)])
@@ -106,12 +106,12 @@ class JointEngine:
             + np.array([model.unknowns[index].nominal for index in rows]),
             keys=keys,
             response=-solution.sensitivity_considered[:, len(model.considered) :][rows],
-            mean_truth=np.array([mean_draw.deviation(key) for key in keys]).reshape(-1, 1),
+            mean_truth=np.array([mean_draws.deviation(key) for key in keys]).reshape(-1, 1),
             sqrt_covariance=eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0)),
             u=np.sqrt(np.diag(covariance)[rows]),
             assumed_white_noise=math.sqrt(assumed_noise.sample_variance),
         )
-        return engine, undetermined
+        return engine, undetermined_names
 
     def run_trials(self, draws: Draws, generator: np.random.Generator) -> TrialResults:
         """Return the results of the analysis for n trials; see `TrialEngine`."""
@@ -134,13 +134,15 @@ def fit_records(
     keys: True values whose columns become additional considered terms without uncertainty.
     """
     model, series = request.model, records.series()
-    expected = np.array(
+    expected_deviations = np.array(
         [truth.mean(unknown.owner, unknown.symbol) - unknown.nominal for unknown in model.unknowns]
     )
-    blocks = build_design_blocks(series, model, scale_factors(series, model, truth), expected)
-    offset = len(model.considered)
-    truth_terms = [Considered(owner, symbol, (0.0, 0.0), 1.0) for owner, symbol, _ in keys]
-    indices = range(offset, offset + len(keys))
+    blocks = build_design_blocks(
+        series, model, scale_factors(series, model, truth), expected_deviations
+    )
+    n_considered = len(model.considered)
+    considered_terms = [Considered(owner, symbol, (0.0, 0.0), 1.0) for owner, symbol, _ in keys]
+    indices = range(n_considered, n_considered + len(keys))
     if keys:
         runs = records.setup.runs
         columns = [_truth_columns(block.series, keys, runs, truth) for block in blocks]
@@ -152,8 +154,8 @@ def fit_records(
             )
             for block, added_columns in zip(blocks, columns, strict=True)
         )
-    extended = replace(model, considered=(*model.considered, *truth_terms))
-    return solve_joint(blocks, extended, request.noise).solution
+    extended_model = replace(model, considered=(*model.considered, *considered_terms))
+    return solve_joint(blocks, extended_model, request.noise).solution
 
 
 def scale_factors(
@@ -244,14 +246,14 @@ def lower_bounds(
     if not blocks:
         return {}
     solution = solve_blocks(blocks, model)
-    determined = assess(solution, [unknown.name for unknown in model.of_interest]).determined
+    determined_names = assess(solution, [unknown.name for unknown in model.of_interest]).determined
     standard_uncertainties = np.sqrt(
         np.diag(solution.covariance_noise + solution.covariance_prior)
     ).tolist()
     u_by_name = dict(
         zip((unknown.name for unknown in model.unknowns), standard_uncertainties, strict=True)
     )
-    return {name: u_by_name[name] for name in determined if determined[name]}
+    return {name: u_by_name[name] for name in determined_names if determined_names[name]}
 
 
 def _record_blocks(setup: SimulationSetup, truth: StudyTruth, model: Unknowns) -> list[Block]:
@@ -418,12 +420,14 @@ class TwoStageEngine:
         scaled_design = x * scale
         information = np.einsum("rp,rn,rq->npq", scaled_design, weights, scaled_design)
         information += np.diag((scale / prior_sd) ** 2)
-        inverse = np.linalg.inv(information) * scale[:, None] * scale
-        gain = np.einsum("npq,rq,rn->prn", inverse, x, weights)
+        unscaled_covariance = np.linalg.inv(information) * scale[:, None] * scale
+        gain = np.einsum("npq,rq,rn->prn", unscaled_covariance, x, weights)
         estimate = _sum_over_runs(gain, b2) + self.estimate[:, None]
-        estimate += np.einsum("npq,q->pn", inverse, prior_mean / prior_sd**2)
+        estimate += np.einsum("npq,q->pn", unscaled_covariance, prior_mean / prior_sd**2)
         contributions = gain**2 * b2_variance
-        variance = contributions.sum(axis=1) + np.einsum("npq,q->pn", inverse**2, prior_sd**-2.0)
+        variance = contributions.sum(axis=1) + np.einsum(
+            "npq,q->pn", unscaled_covariance**2, prior_sd**-2.0
+        )
         variance = variance + np.sum(np.einsum("prn,rk->pkn", gain, self.considered) ** 2, axis=1)
         dof = np.full((1, 1), math.inf)
         if self.sigma is None:
@@ -441,7 +445,7 @@ def noise_free_second_stage(
     setup: SimulationSetup, truth: StudyTruth, request: TwoStageRequest, owner: str, draws: Draws
 ) -> SecondStage:
     """Analyse the first trial without noise, using the weights for the stated noise."""
-    noise_free_setup = replace(setup, noise=NOISE_FREE)
+    noise_free_setup = replace(setup, noise=ZERO_NOISE)
     records = TrialRecords(noise_free_setup, draws, np.random.default_rng(0))
     request = replace(request, sigma=request.sigma or truth.white_noise)
     runs = [records.strobed_run(run, owner, request) for run in range(len(setup.runs))]
@@ -450,9 +454,9 @@ def noise_free_second_stage(
 
 def _residual_b2(second_stage_result: SecondStage, estimate: Array) -> Array:
     """Return b2 minus the prediction of the estimate, m/s^2, shape (runs,)."""
-    means = second_stage_result.fit.model.considered_means
+    considered_means = second_stage_result.fit.model.considered_means
     residuals = [
-        block.target - block.factor @ estimate - block.considered @ means
+        block.target - block.factor @ estimate - block.considered @ considered_means
         for block in second_stage_result.fit.blocks
     ]
     return np.concatenate(residuals) * [parabola.u_b2 for parabola in second_stage_result.parabolas]

@@ -23,7 +23,7 @@ from counterspin.reports.charts import check_figures_writable, save_figure
 from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.studies.result import (
     CONFIDENCE_LEVELS,
-    Z_BINS,
+    N_Z_BINS,
     Z_EDGE,
     CoefficientResult,
     StudyResult,
@@ -119,14 +119,14 @@ def report_blocks(result: StudyResult) -> list[Block]:
 
 def _error_row(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
     unit, factor = find_display_unit(coefficient.unit)
-    bias, error = (
+    bias_text, error_text = (
         format_number(factor * value, 2) for value in (coefficient.bias, coefficient.se_bias)
     )
     efficiency = coefficient.efficiency
     return (
         name,
         unit,
-        f"{bias} ± {error}",
+        f"{bias_text} ± {error_text}",
         format_number(coefficient.sd * factor),
         format_number(coefficient.u * factor),
         "-" if efficiency is None else format_number(efficiency, 2),
@@ -145,7 +145,7 @@ def _coverage_row(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
 
 def z_plots(result: StudyResult) -> Iterator[Plot]:
     """Yield the distribution of error / stated u of each coefficient with the normal density."""
-    edges = np.linspace(-Z_EDGE, Z_EDGE, Z_BINS + 1)
+    edges = np.linspace(-Z_EDGE, Z_EDGE, N_Z_BINS + 1)
     centres = tuple((0.5 * (edges[1:] + edges[:-1])).tolist())
     curve_z = tuple(np.linspace(-Z_EDGE, Z_EDGE, 241).tolist())
     normal_density = tuple(math.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi) for z in curve_z)

@@ -23,20 +23,20 @@ CONFIDENCE_LEVELS: Final = (0.68, 0.95, 0.99)  #: levels of the intervals
 
 #: Histogram of z = error/u: bins of 0.2 from -6 to 6, and a bin beyond each end.
 Z_EDGE: Final = 6.0
-Z_BINS: Final = 60
+N_Z_BINS: Final = 60
 
 #: Number of bins of a bias covariate.
-COVARIATE_BINS: Final = 10
+N_COVARIATE_BINS: Final = 10
 
 #: Number of steps of the table of Student's t over 1/dof.
-_TABLE_STEPS: Final = 4000
+_N_TABLE_STEPS: Final = 4000
 
-_MOMENTS: Final = 5  # n, mean and squares of the error, sums of truth and u
-_COVERAGE_COLUMNS: Final = slice(_MOMENTS, _MOMENTS + len(CONFIDENCE_LEVELS))
+_N_MOMENTS: Final = 5  # n, mean and squares of the error, sums of truth and u
+_COVERAGE_COLUMNS: Final = slice(_N_MOMENTS, _N_MOMENTS + len(CONFIDENCE_LEVELS))
 _HISTOGRAM_COLUMNS: Final = slice(
-    _MOMENTS + len(CONFIDENCE_LEVELS), _MOMENTS + len(CONFIDENCE_LEVELS) + Z_BINS + 2
+    _N_MOMENTS + len(CONFIDENCE_LEVELS), _N_MOMENTS + len(CONFIDENCE_LEVELS) + N_Z_BINS + 2
 )
-_FIRST_COVARIATE: Final = _HISTOGRAM_COLUMNS.stop
+_FIRST_COVARIATE_COLUMN: Final = _HISTOGRAM_COLUMNS.stop
 
 
 @frozen
@@ -57,7 +57,7 @@ class TrialAccumulator:
     @property
     def width(self) -> int:
         """Number of sums for a coefficient and a batch."""
-        return _FIRST_COVARIATE + 3 * COVARIATE_BINS * len(self.covariates)
+        return _FIRST_COVARIATE_COLUMN + 3 * N_COVARIATE_BINS * len(self.covariates)
 
     def accumulate(
         self, estimate: Array, truth: Array, u: Array, dof: Array, covariate_values: Sequence[Array]
@@ -77,30 +77,30 @@ class TrialAccumulator:
         sums[3] = truth.sum()
         sums[4] = u.sum()
         z = error / u
-        magnitude = np.abs(z)
+        abs_z = np.abs(z)
         # Only few trials are between the smallest and the largest factor.
         dof_range = np.array([dof.max(), dof.min()])
         for column, level in enumerate(CONFIDENCE_LEVELS, _COVERAGE_COLUMNS.start):
             low, high = coverage_factor(dof_range, level)
-            sums[column] = np.count_nonzero(magnitude <= low)
+            sums[column] = np.count_nonzero(abs_z <= low)
             if low < high:
-                borderline = np.flatnonzero((magnitude > low) & (magnitude <= high))
-                factors = coverage_factor(dof[borderline], level)
-                sums[column] += np.count_nonzero(magnitude[borderline] <= factors)
-        bin_positions = (z + Z_EDGE) * (Z_BINS / (2.0 * Z_EDGE)) + 1.0
-        z_bins = np.clip(bin_positions, 0.0, Z_BINS + 1.0).astype(np.intp)
-        sums[_HISTOGRAM_COLUMNS] = np.bincount(z_bins, minlength=Z_BINS + 2)
-        start = _FIRST_COVARIATE
+                borderline_indices = np.flatnonzero((abs_z > low) & (abs_z <= high))
+                factors = coverage_factor(dof[borderline_indices], level)
+                sums[column] += np.count_nonzero(abs_z[borderline_indices] <= factors)
+        bin_positions = (z + Z_EDGE) * (N_Z_BINS / (2.0 * Z_EDGE)) + 1.0
+        z_bins = np.clip(bin_positions, 0.0, N_Z_BINS + 1.0).astype(np.intp)
+        sums[_HISTOGRAM_COLUMNS] = np.bincount(z_bins, minlength=N_Z_BINS + 2)
+        first_column = _FIRST_COVARIATE_COLUMN
         for covariate, values in zip(self.covariates, covariate_values, strict=True):
             bin_positions = (values - covariate.low) * (
-                COVARIATE_BINS / (covariate.high - covariate.low)
+                N_COVARIATE_BINS / (covariate.high - covariate.low)
             )
-            bin_indices = np.clip(bin_positions, 0, COVARIATE_BINS - 1).astype(np.intp)
+            bin_indices = np.clip(bin_positions, 0, N_COVARIATE_BINS - 1).astype(np.intp)
             for weights in (np.ones_like(error), error, error**2):
-                sums[start : start + COVARIATE_BINS] = np.bincount(
-                    bin_indices, weights=weights, minlength=COVARIATE_BINS
+                sums[first_column : first_column + N_COVARIATE_BINS] = np.bincount(
+                    bin_indices, weights=weights, minlength=N_COVARIATE_BINS
                 )
-                start += COVARIATE_BINS
+                first_column += N_COVARIATE_BINS
         return sums
 
 
@@ -108,9 +108,9 @@ class TrialAccumulator:
 def _tabulate_quantiles(level: float) -> tuple[Array, Array]:
     from scipy.special import stdtrit
 
-    inverse = np.arange(_TABLE_STEPS + 1) / _TABLE_STEPS
+    inverse_dof = np.arange(_N_TABLE_STEPS + 1) / _N_TABLE_STEPS
     with np.errstate(divide="ignore"):
-        dof = np.where(inverse > 0.0, 1.0 / np.maximum(inverse, 1e-12), 1e12)
+        dof = np.where(inverse_dof > 0.0, 1.0 / np.maximum(inverse_dof, 1e-12), 1e12)
     quantile: Array = np.asarray(stdtrit(dof, 0.5 * (1.0 + level)), dtype=np.float64)
     return quantile, np.append(np.diff(quantile), 0.0)
 
@@ -119,7 +119,7 @@ def coverage_factor(dof: Array, level: float) -> Array:
     """Return Student's t for a two-sided level and at least one degree of freedom."""
     quantile, slope = _tabulate_quantiles(level)
     # The table has equal steps, so that no search is needed.
-    position = _TABLE_STEPS / np.maximum(dof, 1.0)
+    position = _N_TABLE_STEPS / np.maximum(dof, 1.0)
     index = position.astype(np.intp)
     return np.asarray(quantile[index] + (position - index) * slope[index])
 
@@ -202,31 +202,31 @@ class StudyResult(ReportableResult):
 
 def summarise(
     accumulator: TrialAccumulator,
-    batches: Array,
+    batch_sums: Array,
     name: str = "",
     unit: str = "",
     bound: float | None = None,
 ) -> CoefficientResult:
     """Combine the batches of one coefficient.
 
-    batches: Shape (batches, width), in the order of the batches.
+    batch_sums: Shape (batches, width), in the order of the batches.
     name: Name of the coefficient in its finding, such as "K_II of Qx".
     bound: Cramer-Rao bound of the standard uncertainty, if it exists.
     """
-    counts = batches[:, 0]
+    counts = batch_sums[:, 0]
     n = float(counts.sum())
-    mean = float(counts @ batches[:, 1] / n)
-    sum_of_squares = float(batches[:, 2].sum() + counts @ (batches[:, 1] - mean) ** 2)
+    mean = float(counts @ batch_sums[:, 1] / n)
+    sum_of_squares = float(batch_sums[:, 2].sum() + counts @ (batch_sums[:, 1] - mean) ** 2)
     sd = math.sqrt(sum_of_squares / (n - 1.0)) if n > 1.0 else math.nan
-    totals = batches.sum(axis=0)
+    totals = batch_sums.sum(axis=0)
     coverage = tuple(float(value) / n for value in totals[_COVERAGE_COLUMNS])
     bias_tables = {}
     for index, covariate in enumerate(accumulator.covariates):
-        start = _FIRST_COVARIATE + 3 * COVARIATE_BINS * index
-        trials_in_bin, sums, sums_of_squares = totals[start : start + 3 * COVARIATE_BINS].reshape(
-            3, -1
-        )
-        edges = np.linspace(covariate.low, covariate.high, COVARIATE_BINS + 1)
+        first_column = _FIRST_COVARIATE_COLUMN + 3 * N_COVARIATE_BINS * index
+        trials_in_bin, sums, sums_of_squares = totals[
+            first_column : first_column + 3 * N_COVARIATE_BINS
+        ].reshape(3, -1)
+        edges = np.linspace(covariate.low, covariate.high, N_COVARIATE_BINS + 1)
         with np.errstate(divide="ignore", invalid="ignore"):
             bias = sums / trials_in_bin
             standard_errors = np.sqrt(
@@ -270,13 +270,17 @@ def binomial_interval(successes: float, trials: float) -> tuple[float, float]:
     """Return the 95 % Clopper-Pearson interval of a share (Biometrika 26, 404, 1934)."""
     from scipy.special import betaincinv
 
-    tail = 0.025
+    tail_probability = 0.025
     successes = round(successes)
-    low = 0.0 if successes == 0 else float(betaincinv(successes, trials - successes + 1.0, tail))
+    low = (
+        0.0
+        if successes == 0
+        else float(betaincinv(successes, trials - successes + 1.0, tail_probability))
+    )
     high = (
         1.0
         if successes >= trials
-        else float(betaincinv(successes + 1.0, trials - successes, 1.0 - tail))
+        else float(betaincinv(successes + 1.0, trials - successes, 1.0 - tail_probability))
     )
     return low, high
 

@@ -34,7 +34,7 @@ from counterspin.simulation.pose_record import record_duration
 from counterspin.studies.draws import Draws
 
 #: Tolerance for strobes at the ends of a record, turns.
-_ROUNDING: Final = 1e-9
+_ROUNDING_TOLERANCE: Final = 1e-9
 
 #: Minimum number of samples: two samples would fit the start offset and velocity of a displacement.
 _MIN_SAMPLES: Final = 3
@@ -140,7 +140,9 @@ class SimulationSetup:
             spindle.start_angle + spindle.rate * time for time in (0.0, self.durations[run])
         )
         low, high = (np.array(end_angles) - phase) / TURN
-        turn_numbers = np.arange(math.ceil(low - _ROUNDING), math.floor(high + _ROUNDING) + 1)
+        turn_numbers = np.arange(
+            math.ceil(low - _ROUNDING_TOLERANCE), math.floor(high + _ROUNDING_TOLERANCE) + 1
+        )
         angles: Array = phase + TURN * turn_numbers
         return angles if spindle.rate > 0.0 else angles[::-1]
 

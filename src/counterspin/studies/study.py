@@ -149,25 +149,25 @@ def study(
     return result
 
 
-def _check_memory(engine: StudyEngine, trials: int) -> None:
+def _check_memory(engine: StudyEngine, n_trials: int) -> None:
     """Raise CounterspinError if the stored sums of all batches require too much memory."""
     batch_bytes = 8 * engine.accumulator.width * len(engine.coefficients)
     max_trials = _MAX_RESULT_BYTES // batch_bytes * engine.batch_size
-    if trials > max_trials:
+    if n_trials > max_trials:
         raise CounterspinError(
-            f"{trials:.3g} `trials` require too much memory; this study may have at most "
+            f"{n_trials:.3g} `trials` require too much memory; this study may have at most "
             f"{max_trials:.3g}",
             code="too-many-rows",
         )
 
 
-def _warn_of_duration(engine: StudyEngine, trials: int, workers: int) -> None:
-    seconds = expected_duration(engine, trials) / workers
+def _warn_of_duration(engine: StudyEngine, n_trials: int, n_workers: int) -> None:
+    seconds = expected_duration(engine, n_trials) / n_workers
     if seconds < _WARNING_DURATION:
         return
     reason = _describe_slow_analyses(engine)
     text = (
-        f"{trials} trials will take about {_format_duration(seconds)}"
+        f"{n_trials} trials will take about {_format_duration(seconds)}"
         + (f" ({reason})" if reason else "")
         + "; to reduce this time, use fewer `trials`, more `workers` or a `cluster`. Ctrl-C stops "
         "the study and keeps a valid result for the completed trials"
@@ -202,12 +202,12 @@ class StudyDuration:
 @single_blas_thread()
 def estimate_duration(where: Path) -> StudyDuration:
     """Return the expected duration of a study after its preparation; time a slow trial."""
-    start = time.perf_counter()
+    start_time = time.perf_counter()
     description = read_study(where)
     study_engine = prepare_study(description, description.seed)
-    preparation = time.perf_counter() - start
-    per_trial = expected_duration(study_engine, _N_TYPICAL_TRIALS) / _N_TYPICAL_TRIALS
-    return StudyDuration(preparation, per_trial, _describe_slow_analyses(study_engine))
+    preparation = time.perf_counter() - start_time
+    seconds_per_trial = expected_duration(study_engine, _N_TYPICAL_TRIALS) / _N_TYPICAL_TRIALS
+    return StudyDuration(preparation, seconds_per_trial, _describe_slow_analyses(study_engine))
 
 
 def _fingerprint(engine: StudyEngine) -> str:
