@@ -18,7 +18,7 @@ from scipy.special import ndtri, stdtr, stdtrit
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.joint_problem import make_noise, make_series
 from counterspin.calibration.model import make_unknowns
-from counterspin.calibration.observed_runs import observe
+from counterspin.calibration.observed_runs import observe_runs
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import TERMS
@@ -225,7 +225,7 @@ def _errors(case: Case, campaign: Campaign) -> Iterator[tuple[str, float, float]
                 if c.estimated and c.value is not None and c.u:
                     yield symbol, (c.value - truth[name][symbol]) / c.u, c.dof or math.inf
         return
-    observed = tuple(observe(campaign))
+    observed = tuple(observe_runs(campaign))
     found = estimate(make_series(campaign, observed), make_unknowns(campaign), make_noise(campaign))
     solution = found.fit.solution
     for i, unknown in enumerate(found.fit.model.unknowns):

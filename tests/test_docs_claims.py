@@ -223,7 +223,7 @@ NUMBERS = [
         [diagnostics.AGREEMENT_FACTOR],
     ),
     ("result", "more than {} % of the samples of a run, or", [100 * outcome.MAX_OUTLIER_SHARE]),
-    ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_FRACTION]),
+    ("result", "shorter than {} % of the run's", [100 * assembly.MIN_DURATION_FRACTION]),
     ("result", "means infinite or more than {}", [distributions._INFINITE_DOF]),
     (
         "result",

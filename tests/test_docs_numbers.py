@@ -74,7 +74,10 @@ ROWS = {
             "unless the record has {} rows for each",
             1.0 / run_file.EXTRA_REVOLUTIONS_PER_ROW,
         ),
-        ("a record that is shorter than {} % of this duration", 100.0 * assembly.COMPLETE_FRACTION),
+        (
+            "a record that is shorter than {} % of this duration",
+            100.0 * assembly.MIN_DURATION_FRACTION,
+        ),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),
         ("exceeds {} times the largest credible size", simulable.MAX_TRUTH_RATIO),
         ("a ripple above harmonic {} -", simulable._MAX_RIPPLE_HARMONIC),
@@ -160,8 +163,8 @@ ROWS = {
     ],
     "compare": [("two results agree to within {}", rerun.RELATIVE_TOLERANCE)],
     "monitoring": [
-        ("from the nominal rate by more than {} %", 100.0 * assembly.MAX_RATE_DIFFERENCE),
-        ("shorter than {} of the stated duration", assembly.COMPLETE_FRACTION),
+        ("from the nominal rate by more than {} %", 100.0 * assembly.MAX_RATE_DEVIATION),
+        ("shorter than {} of the stated duration", assembly.MIN_DURATION_FRACTION),
         (
             "More than {} % of the samples in the record are outliers",
             100.0 * outcome.MAX_OUTLIER_SHARE,

@@ -108,7 +108,9 @@ def test_finding_and_state_of_change(change, code, state, size):
 
 
 def _make_undetermined(symbol="K_III", *, requested=True):
-    return not_determined_finding(f"Qx.{symbol}", symbol, advice=" Add a run.", requested=requested)
+    return not_determined_finding(
+        f"Qx.{symbol}", symbol, advice=" Add a run.", is_requested=requested
+    )
 
 
 def test_undetermined_requested_term_has_state_not_determined():

@@ -10,7 +10,7 @@ from campaigns import PLACE, SMALL, format_runs, replace_parts, write_and_read_c
 from raising import raises
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.observed_runs import observe
+from counterspin.calibration.observed_runs import observe_runs
 from counterspin.errors import RecordError
 from counterspin.simulation.simulate import simulate
 
@@ -42,7 +42,7 @@ def recorded_run(request, tmp_path_factory):
 
 def test_record_of_described_motion_is_read(recorded_run):
     folder, text, _ = recorded_run
-    assert len(list(observe(write_and_read_campaign(folder, text)))) == 3
+    assert len(list(observe_runs(write_and_read_campaign(folder, text)))) == 3
 
 
 def test_block_means_preserve_ripple(tmp_path):
@@ -58,7 +58,7 @@ def test_block_means_preserve_ripple(tmp_path):
     truth = "[truth.spindle]" + truth.split("[truth.spindle]")[1].replace("1e-4 g", "0 g")
     campaign = write_and_read_campaign(tmp_path, f"{head}[truth.Qx]\n[truth.Qy]\n{truth}")
     simulate(campaign, tmp_path)
-    slow = next(iter(observe(campaign)))
+    slow = next(iter(observe_runs(campaign)))
     assert slow.record.count[10] > 10
     for signal in slow.signals.values():
         # Tangential force of the ripple is 3e-3 m/s^2, of which means over 1/64 revolution lose
@@ -86,7 +86,7 @@ def test_rejects_record_of_other_motion(recorded_run, tmp_path, change, words):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     record.with_columns(change).write_csv(tmp_path / "slow.csv")
     with pytest.raises(RecordError, match=re.escape(words)) as caught:
-        list(observe(write_and_read_campaign(tmp_path, text)))
+        list(observe_runs(write_and_read_campaign(tmp_path, text)))
     assert "slow.csv" in str(caught.value)
 
 
@@ -95,7 +95,7 @@ def test_rejects_wrong_radius(recorded_run, radius):
     folder, text, _ = recorded_run
     with pytest.raises(RecordError, match="the radius"):
         list(
-            observe(
+            observe_runs(
                 write_and_read_campaign(folder, replace_parts(text, ('"2.5 m"', f'"{radius}"')))
             )
         )
@@ -119,7 +119,7 @@ def test_rejects_duplicate_record(plain_folder, tmp_path, name):
     again = f'[[runs]]\nname = "again"\nrate = "0.25 rev/s"\nrecord = "{name}"\n\n[simulation]'
     with raises("duplicate-record", "slow.csv"):
         list(
-            observe(
+            observe_runs(
                 write_and_read_campaign(tmp_path, replace_parts(SMALL, ("[simulation]", again)))
             )
         )
@@ -286,11 +286,11 @@ def test_rejects_detrended_record_if_relevant(recorded_run, tmp_path, count):
     # The start velocity, an unknown of a velocity record, absorbs the mean.
     harmless = 1 if "velocity = {" in text else 0
     if count <= harmless:
-        assert len(list(observe(campaign))) == 3
+        assert len(list(observe_runs(campaign))) == 3
         return
     word = ("mean", "line", "parabola")[count - 1]
     with pytest.raises(RecordError, match=f"slow, middle, fast: a {word} was removed .* 'east'"):
-        list(observe(campaign))
+        list(observe_runs(campaign))
 
 
 @pytest.fixture(scope="module")
@@ -322,13 +322,13 @@ def test_rejects_single_record_without_parabola(displacement_folder, tmp_path):
     text = SMALL.replace('record = "fast.csv"', 'record = "fast.csv"\nstart = "3 s"')
     campaign = detrend_records(displacement_folder, text, 3, tmp_path, files=("fast",))
     with pytest.raises(RecordError, match=r"^fast: a parabola was removed"):
-        list(observe(campaign))
+        list(observe_runs(campaign))
 
 
 def test_good_campaign_has_no_detrending_finding(displacement_folder):
     parts = {
         run.run.name: run.record.polynomials
-        for run in observe(write_and_read_campaign(displacement_folder, SMALL))
+        for run in observe_runs(write_and_read_campaign(displacement_folder, SMALL))
     }
     # Rounding gives less than 0.02; noise gives about 1, and a bias of 5 mg 1e5.
     assert min(abs(part[0]) for own in parts.values() for part in own.values()) > 1e3

@@ -8,7 +8,7 @@ from campaigns import SMALL, replace_parts, write_and_read_campaign
 
 from counterspin.calibration.joint import fit_jointly
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.observed_runs import observe
+from counterspin.calibration.observed_runs import observe_runs
 from counterspin.calibration.outcome import check_outlier_share
 from counterspin.records.record import RecordReport, rejected_count
 from counterspin.simulation.simulate import simulate
@@ -18,7 +18,7 @@ def test_rejected_blocks_are_counted_in_samples(tmp_path):
     dense = replace_parts(SMALL, ('sampling_rate = "20 Hz"', 'sampling_rate = "200 Hz"'))
     campaign = write_and_read_campaign(tmp_path, dense)
     simulate(campaign, tmp_path)
-    slow, *others = observe(campaign)
+    slow, *others = observe_runs(campaign)
     place = 500
     assert slow.record.count[place] > 1
     before = fit_jointly(JointProblem(campaign, (slow, *others))).runs["slow"].counts["outliers"]

@@ -7,7 +7,7 @@ import pytest
 from raising import raises
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_file import upgrade
+from counterspin.calibration.result_file import upgrade_document
 from counterspin.errors import RecordError
 from counterspin.reports.blocks import Paragraph
 
@@ -133,7 +133,7 @@ def contains_document(old, new):
 def test_earlier_results_are_read_completely(path):
     old = json.loads(path.read_text(encoding="utf-8"))
     read = Result.read(path)
-    actual_old = old if old["schema"] == Result.newest_schema() else upgrade(old)
+    actual_old = old if old["schema"] == Result.newest_schema() else upgrade_document(old)
     # Written again, it has newer fields as null and a new seal.
     actual_old = {key: value for key, value in actual_old.items() if key != "seal"}
     assert contains_document(actual_old, json.loads(read.to_json()))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_file import upgrade
+from counterspin.calibration.result_file import upgrade_document
 from counterspin.errors import RecordError
 
 FROZEN = Path(__file__).parents[1] / "frozen"
@@ -35,7 +35,7 @@ def coefficient_pairs(old, new):
 @pytest.mark.parametrize("path", [*FILES, REPEAT], ids=lambda path: path.stem)
 def test_components_of_u_are_renamed(path):
     old = read_document(path)
-    new = upgrade(copy.deepcopy(old))
+    new = upgrade_document(copy.deepcopy(old))
     pairs = list(coefficient_pairs(old, new))
     assert len(pairs) >= 2
     for before, after in pairs:
@@ -55,7 +55,7 @@ def test_components_of_u_are_renamed(path):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_budget_lines_have_kind(path):
     old = read_document(path)
-    new = upgrade(copy.deepcopy(old))
+    new = upgrade_document(copy.deepcopy(old))
     seen = set()
     for name, own in old["accelerometers"].items():
         for symbol, lines in own.get("budget", {}).items():
@@ -73,7 +73,7 @@ def test_inputs_and_rotations_are_held_or_noise():
     document = read_document(FILES[0])
     lines = document["accelerometers"]["Qx"]["budget"]["K_II"]
     lines[0]["source"], lines[1]["source"] = "centrifuge.radius (input)", "run1.angle (encoder)"
-    new = upgrade(document)["accelerometers"]["Qx"]["budget"]["K_II"]
+    new = upgrade_document(document)["accelerometers"]["Qx"]["budget"]["K_II"]
     sources_and_kinds = [(line["source"], line["kind"]) for line in new[:2]]
     assert sources_and_kinds == [("centrifuge.radius", "held"), ("run1.angle", "noise")]
 
@@ -138,4 +138,4 @@ def test_damaged_result_of_schema_1_is_rejected(path, owner, key, value, words, 
 def test_empty_omitted_terms_are_accepted(value):
     document = read_document(REPEAT)
     document["accelerometers"]["A"]["left_out"] = value
-    assert upgrade(document)["assumed"] == []
+    assert upgrade_document(document)["assumed"] == []

@@ -12,7 +12,7 @@ import counterspin as cs
 from counterspin.calibration.options import (
     TwoStageOptions,
     command_arguments,
-    further_arguments,
+    extra_arguments,
     parse_options,
 )
 from counterspin.cli import main
@@ -153,7 +153,7 @@ def test_rejects_rerun_of_data_in_memory(campaign_folder, capsys):
 
 def test_options_are_parsed_from_command():
     options = TwoStageOptions("as-printed", False, "ratio", False, True)
-    arguments = [*command_arguments("two-stage", options), *further_arguments(["slow"], 0)]
+    arguments = [*command_arguments("two-stage", options), *extra_arguments(["slow"], 0)]
     assert parse_options(arguments) == ("two-stage", options, ("slow",))
     assert parse_options([]) == ("joint", TwoStageOptions(), ())
     with pytest.raises(CampaignError, match="--newer"):

@@ -398,7 +398,7 @@ def test_rejects_result_with_undetermined_coefficient():
 
     def make_undetermined(symbol):
         finding = not_determined_finding(
-            f"Qx.{symbol}", symbol, advice=" Add a run.", requested=True
+            f"Qx.{symbol}", symbol, advice=" Add a run.", is_requested=True
         )
         return make_result({"Qx": make_accelerometer({}, coefficients=terms, findings=[finding])})
 

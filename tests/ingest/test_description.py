@@ -7,7 +7,7 @@ from raising import raises
 from scipy.io import savemat
 from workbooks import write_workbook
 
-from counterspin.calibration.observed_runs import observe
+from counterspin.calibration.observed_runs import observe_runs
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.ingest.contents import read_files
@@ -168,7 +168,7 @@ def test_sheets_of_workbook_may_be_runs(tmp_path):
     campaign = read_campaign(tmp_path / "camp")
     assert [run.rate for run in campaign.runs] == pytest.approx([np.pi, 2 * np.pi])
     assert {run.record for run in campaign.runs} == {tmp_path / "camp" / ".." / "runs.xlsx"}
-    rates = [run.rotation.spindle.rate for run in observe(campaign)]
+    rates = [run.rotation.spindle.rate for run in observe_runs(campaign)]
     assert rates == pytest.approx([np.pi, 2 * np.pi], rel=1e-6)
 
 

@@ -397,7 +397,7 @@ def test_text_is_not_cut_at_usual_widths(width):
     assert max(map(len, text.splitlines())) <= width
     tokens = set(text.split())
     numbers = 0
-    for block in result_blocks(result, budget=True, details=True):
+    for block in result_blocks(result, show_budget=True, show_details=True):
         for row in getattr(block, "rows", ()):
             for column, cell in zip(block.columns, row, strict=True):
                 if not column.wraps:
@@ -412,7 +412,7 @@ def test_narrow_terminal_loses_no_text(width):
     text = render_text(result, width, budget=True, details=True)
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
-    for block in result_blocks(result, budget=True, details=True):
+    for block in result_blocks(result, show_budget=True, show_details=True):
         if not hasattr(block, "rows"):
             assert "".join(block.text.split()) in "".join(text.split())
     wide = render_text(result, 200, budget=True, details=True)
@@ -461,7 +461,9 @@ def test_numbers_are_not_nan_or_python_repr():
 
 def test_render_equals_print_result():
     stream = io.StringIO()
-    Console(file=stream, width=160, highlight=False).print(render(make_full_result(), budget=True))
+    Console(file=stream, width=160, highlight=False).print(
+        render(make_full_result(), show_budget=True)
+    )
     assert stream.getvalue() == render_text(make_full_result(), budget=True)
 
 

@@ -259,14 +259,14 @@ def run_fit(connection: Connection, campaign: Path) -> None:
     def fit_records(_: ProgressCallback) -> dict[str, PlotColumns]:
         from counterspin.calibration.joint import estimate_campaign
         from counterspin.calibration.joint_problem import JointProblem
-        from counterspin.calibration.observed_runs import add_recorded_conditions, observe
+        from counterspin.calibration.observed_runs import add_recorded_conditions, observe_runs
         from counterspin.campaign.description import read_campaign
         from counterspin.threads import single_blas_thread
 
         with single_blas_thread():
             recorded_campaign = add_recorded_conditions(read_campaign(campaign))
             fit = estimate_campaign(
-                JointProblem(recorded_campaign, list(observe(recorded_campaign)))
+                JointProblem(recorded_campaign, list(observe_runs(recorded_campaign)))
             )[0].fit
             runs: dict[str, list[tuple[str, str, Array, Array, Array]]] = {}
             for design_block, residuals in zip(fit.design_blocks, fit.residuals, strict=True):

@@ -25,10 +25,10 @@ from counterspin.records.signals import TREND_LABELS as REMOVED
 from counterspin.results import describe_environment
 
 #: Fraction of the stated duration below which a record counts as incomplete.
-COMPLETE_FRACTION: Final = 0.9
+MIN_DURATION_FRACTION: Final = 0.9
 
 #: Largest relative difference between identified and nominal rate.
-MAX_RATE_DIFFERENCE: Final = 1e-3
+MAX_RATE_DEVIATION: Final = 1e-3
 
 #: Relative spread below which rate differences count as equal in all runs.
 _MAX_COMMON_SPREAD: Final = 0.1
@@ -125,32 +125,32 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
 
     rates: Run -> rate identified from the angle, and stated rate, rad/s.
     """
-    findings, differences = [], []
+    findings, deviations = [], []
     for name, (rate, stated_rate) in rates.items():
-        difference = rate / stated_rate - 1.0
-        differences.append(difference)
-        if abs(difference) > MAX_RATE_DIFFERENCE:
+        deviation = rate / stated_rate - 1.0
+        deviations.append(deviation)
+        if abs(deviation) > MAX_RATE_DEVIATION:
             text = (
                 f"{name}: the spindle turned at {rate:.6f} rad/s instead of the nominal "
                 f"{stated_rate:.6f} rad/s. The fit uses the recorded angle."
             )
             findings.append(
-                Finding(code="other-rate", subject=name, text=text, size=abs(difference))
+                Finding(code="other-rate", subject=name, text=text, size=abs(deviation))
             )
-    min_difference, max_difference = min(differences, default=0.0), max(differences, default=0.0)
+    min_deviation, max_deviation = min(deviations, default=0.0), max(deviations, default=0.0)
     if (
         len(findings) < 2
-        or len(findings) < len(differences)
-        or max_difference - min_difference > _MAX_COMMON_SPREAD * abs(max_difference)
+        or len(findings) < len(deviations)
+        or max_deviation - min_deviation > _MAX_COMMON_SPREAD * abs(max_deviation)
     ):
         return findings
     text = (
-        f"In every run, the spindle turned {100 * abs(max_difference):.3f} % "
-        f"{'faster' if max_difference > 0.0 else 'slower'} than stated. Because the ratio is the "
+        f"In every run, the spindle turned {100 * abs(max_deviation):.3f} % "
+        f"{'faster' if max_deviation > 0.0 else 'slower'} than stated. Because the ratio is the "
         "same in all runs, either the recorder clock or the stated rates must be wrong by this "
         "amount. The fit uses the recorded times and rates."
     )
-    magnitude = abs(max_difference)
+    magnitude = abs(max_deviation)
     return [Finding(code="time-base", subject="records.time", text=text, size=magnitude)]
 
 
@@ -162,7 +162,7 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
         if any(map(math.isfinite, run.run.time_range)):
             nominal_duration = None  # only a part of the record is used
         duration = float(run.record.time[-1] - run.record.time[0])
-        if nominal_duration is not None and duration < COMPLETE_FRACTION * nominal_duration:
+        if nominal_duration is not None and duration < MIN_DURATION_FRACTION * nominal_duration:
             text = (
                 f"{name}: the record lasts {duration:.4g} s instead of the "
                 f"{nominal_duration:.4g} s stated in the campaign. Check that the record is "
@@ -173,13 +173,13 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
                     code="short-record", subject=name, text=text, size=nominal_duration / duration
                 )
             )
-        if isolated_rows := run.record.report.isolated:
-            row_text = "1 row" if isolated_rows == 1 else f"{isolated_rows} rows"
+        if n_isolated := run.record.report.isolated:
+            row_text = "1 row" if n_isolated == 1 else f"{n_isolated} rows"
             text = (
                 f"{name}: a gap separates {row_text} at one end of the record from the rest, so "
                 "counterspin omitted them. Inspect the record."
             )
-            findings.append(Finding(code="lone-rows", subject=name, text=text, size=isolated_rows))
+            findings.append(Finding(code="lone-rows", subject=name, text=text, size=n_isolated))
     return findings
 
 
@@ -194,12 +194,12 @@ def _detrending_remarks(campaign: Campaign, observed_runs: Sequence[ObservedRun]
     """Return remarks on trends that recorders removed and that the start values absorb."""
     remarks = []
     for name, accelerometer in campaign.accelerometers.items():
-        count, runs = detect_detrending(
+        order, runs = detect_detrending(
             {run.run.name: run.record.polynomials[name] for run in observed_runs}
         )
-        if count:
+        if order:
             remarks.append(
-                f"A {REMOVED[count]} was removed from column '{accelerometer.channel.name}' "
+                f"A {REMOVED[order]} was removed from column '{accelerometer.channel.name}' "
                 f"({name}) before the file was written ({', '.join(runs)}). The removal does not "
                 "affect the result, because the fit estimates the initial offset and initial "
                 "velocity of each record."

@@ -102,9 +102,9 @@ def calibrate_many(
             record_outcome(index, try_to_calibrate(directories[index], *arguments))
     else:
 
-        def run_pool(jobs_to_run: Sequence[int], count: int) -> list[int]:
+        def run_pool(jobs_to_run: Sequence[int], n_processes: int) -> list[int]:
             jobs = {index: (directories[index], *arguments) for index in jobs_to_run}
-            return _run_pool(jobs, replace(workers, processes=count), record_outcome)
+            return _run_pool(jobs, replace(workers, processes=n_processes), record_outcome)
 
         try:
             # Retry interrupted campaigns one by one, so that a crash affects no other campaign.

@@ -9,7 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from counterspin.calibration.options import MONTE_CARLO, Method, TwoStageOptions, further_arguments
+from counterspin.calibration.options import MONTE_CARLO, Method, TwoStageOptions, extra_arguments
 from counterspin.campaign.checksums import checksums_of
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError, UsageError
@@ -103,7 +103,7 @@ def calibrate(
                 result = add_intervals(result, campaign, observed_runs, monte_carlo)
         if not without and not monte_carlo:
             return result
-        arguments = [*result.provenance.options, *further_arguments(without, monte_carlo)]
+        arguments = [*result.provenance.options, *extra_arguments(without, monte_carlo)]
         provenance = result.provenance.model_copy(update={"options": arguments})
         return result.model_copy(update={"provenance": provenance})
 
@@ -168,10 +168,10 @@ def _check_method(method: str, options: TwoStageOptions | None) -> None:
 def _observe_runs(
     campaign: Campaign, progress: Callable[[int, int], None] | None
 ) -> tuple[ObservedRun, ...]:
-    from counterspin.calibration.observed_runs import observe
+    from counterspin.calibration.observed_runs import observe_runs
 
     observed_runs = []
-    for run in observe(campaign):
+    for run in observe_runs(campaign):
         observed_runs.append(run)
         if progress is not None:
             progress(len(observed_runs), len(campaign.runs))

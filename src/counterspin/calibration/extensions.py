@@ -25,12 +25,12 @@ from counterspin.loading import is_installed, load_name
 if TYPE_CHECKING:
     from counterspin.campaign.specification import Specifications
 
-DIAGNOSIS: Final = "counterspin.calibration.diagnosis.search:diagnose"
-TWO_STAGE: Final = "counterspin.calibration.two_stage.method:calibrate_two_stage"
-CONFORMITY: Final = "counterspin.calibration.conformity:judge_conformity"
-READINGS: Final = "counterspin.readings.joint_data:join_readings"
-TWO_STAGE_COMPARISON: Final = "counterspin.calibration.two_stage.comparison:compare_k_ii"
-TRACES: Final = "counterspin.calibration.pages.traces:thin_residuals"
+DIAGNOSIS_FUNCTION: Final = "counterspin.calibration.diagnosis.search:diagnose"
+TWO_STAGE_FUNCTION: Final = "counterspin.calibration.two_stage.method:calibrate_two_stage"
+CONFORMITY_FUNCTION: Final = "counterspin.calibration.conformity:judge_conformity"
+READINGS_FUNCTION: Final = "counterspin.readings.joint_data:join_readings"
+COMPARISON_FUNCTION: Final = "counterspin.calibration.two_stage.comparison:compare_k_ii"
+TRACES_FUNCTION: Final = "counterspin.calibration.pages.traces:thin_residuals"
 
 
 @frozen
@@ -50,12 +50,12 @@ Diagnose = Callable[
 
 def find_diagnosis() -> Diagnose | None:
     """Return the function that searches for causes; None if it is not installed."""
-    return cast("Diagnose | None", _load_optional(DIAGNOSIS))
+    return cast("Diagnose | None", _load_optional(DIAGNOSIS_FUNCTION))
 
 
 def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
     """Return the outcome of the two-stage method; CampaignError if it is not installed."""
-    method = _load_optional(TWO_STAGE)
+    method = _load_optional(TWO_STAGE_FUNCTION)
     if method is None:
         raise CampaignError(
             "calibrate",
@@ -76,19 +76,19 @@ def apply_two_stage(problem: JointProblem, options: TwoStageOptions) -> Outcome:
 
 def compare_two_stage(view: AccelerometerView) -> Comparison | None:
     """Return the comparison with the two-stage K_II; None if the method does not apply."""
-    compare = _load_optional(TWO_STAGE_COMPARISON)
+    compare = _load_optional(COMPARISON_FUNCTION)
     return None if compare is None else cast("Comparison | None", compare(view))
 
 
 def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
     """Return the thinned residuals for plots, by run; empty if pages are not installed."""
-    make_traces = _load_optional(TRACES)
+    make_traces = _load_optional(TRACES_FUNCTION)
     return {} if make_traces is None else cast("dict[str, Trace]", make_traces(view))
 
 
 def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingData]:
     """Return the estimate from records, readings and poses, and its readings and poses."""
-    if (join := _load_optional(READINGS)) is None:
+    if (join := _load_optional(READINGS_FUNCTION)) is None:
         raise CampaignError(
             "calibrate",
             ["this installation cannot read tables of readings"],
@@ -99,7 +99,7 @@ def join_readings(problem: JointProblem) -> tuple[Estimate, ReadingData]:
 
 def apply_specifications(result: Result, specifications: Specifications) -> Result:
     """Return the result with the conformity of its coefficients."""
-    return cast(Result, load_name(CONFORMITY)(result, specifications))
+    return cast(Result, load_name(CONFORMITY_FUNCTION)(result, specifications))
 
 
 def _load_optional(name: str) -> Callable[..., Any] | None:

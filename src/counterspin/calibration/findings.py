@@ -340,18 +340,18 @@ def not_determined_finding(
     data_name: str = "records",
     advice: str = "",
     *,
-    requested: bool = False,
+    is_requested: bool = False,
 ) -> Finding:
     """Return the finding that the data do not determine a coefficient.
 
     data_name: Name of the data in the text.
     advice: Sentence on the action to take, with a leading space.
-    requested: Whether the finding sets the state; see `counterspin.calibration.model.is_requested`.
+    is_requested: Whether the finding sets the state; see `calibration.model.is_requested`.
     """
     text = (
         f"The {data_name} do not determine {symbol}, and no prior is stated for {symbol}.{advice}"
     )
-    return Finding(code="not-determined", subject=subject, text=text, undetermined=requested)
+    return Finding(code="not-determined", subject=subject, text=text, undetermined=is_requested)
 
 
 def lack_of_fit_finding(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
@@ -416,7 +416,7 @@ def _check_jackknife(
     name: str, lines: Sequence[Jackknife], noise_ratio: float, accelerometer_count: int
 ) -> Iterator[Finding]:
     tested_count = sum(1 for line in lines if line.z is not None)
-    worst_line = _largest_shift(lines)
+    worst_line = _largest_shift_line(lines)
     if worst_line is None or worst_line.z is None or worst_line.shift is None:
         return
     z = abs(worst_line.z) / noise_ratio
@@ -436,7 +436,7 @@ def _check_jackknife(
     )
 
 
-def _largest_shift(lines: Sequence[Jackknife]) -> Jackknife | None:
+def _largest_shift_line(lines: Sequence[Jackknife]) -> Jackknife | None:
     tested_lines = [line for line in lines if line.z is not None]
     return max(tested_lines, key=_significance, default=None)
 
@@ -465,7 +465,7 @@ def supporting_evidence(accelerometer: AccelerometerResult) -> Iterator[tuple[st
     if p is not None and _is_acceptable_fit(residual):
         noise_text = "the stated noise" if residual.chi2 is not None else "independent noise"
         yield "fit", f"the residuals are consistent with {noise_text} (p = {format_number(p, 2)})"
-    worst_line = _largest_shift(accelerometer.jackknife)
+    worst_line = _largest_shift_line(accelerometer.jackknife)
     if worst_line is not None and _significance(worst_line) <= AGREEMENT_FACTOR:
         yield "leave-one-run-out", "no single run dominates the result"
     if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):

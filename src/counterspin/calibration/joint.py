@@ -126,7 +126,7 @@ def fit_jointly(problem: JointProblem) -> Outcome:
                 run,
                 terms=terms_by_run[name],
                 fit=run_fit_tests(views, name),
-                outliers=outliers[name],
+                n_outliers=outliers[name],
             )
             for run in observed_runs
             for name in [run.run.name]
@@ -145,7 +145,7 @@ def fit_jointly(problem: JointProblem) -> Outcome:
                     unknown.name,
                     unknown.name,
                     advice=_PRIOR_ADVICE,
-                    requested=is_requested(campaign, unknown.symbol),
+                    is_requested=is_requested(campaign, unknown.symbol),
                 )
                 for unknown, coefficient in shared_coefficients.items()
                 if coefficient.value is None
@@ -245,7 +245,7 @@ def _undetermined_findings(
                 symbol,
                 data_name,
                 advice or _suggest_data(view, symbol),
-                requested=is_requested(view.campaign, symbol, view.name),
+                is_requested=is_requested(view.campaign, symbol, view.name),
             )
 
 

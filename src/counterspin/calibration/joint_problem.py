@@ -24,7 +24,7 @@ from counterspin.loading import load_name
 from counterspin.physics import observation
 
 #: The function that reads the noise of a campaign from a record at rest.
-STATIC_NOISE: Final = "counterspin.campaign.static_noise:resolve_noise"
+STATIC_NOISE_FUNCTION: Final = "counterspin.campaign.static_noise:resolve_noise"
 
 
 @frozen(eq=False)
@@ -72,7 +72,7 @@ def make_series(campaign: Campaign, runs: Sequence[ObservedRun]) -> tuple[Residu
     for run in runs:
         timestamp_errors = _timestamp_errors(run, timing_noise, encoder_noise)
         for name, signal in run.signals.items():
-            finite = np.isfinite(signal.error)
+            is_finite = np.isfinite(signal.error)
             accelerometer = signal.accelerometer
             record_series = ResidualSeries(
                 accelerometer=name,
@@ -81,18 +81,18 @@ def make_series(campaign: Campaign, runs: Sequence[ObservedRun]) -> tuple[Residu
                 mounting=accelerometer.mounting,
                 observable=accelerometer.observable,
                 attitude=run.run.attitude,
-                time=run.record.time[finite],
-                time_sd=run.record.time_sd[finite],
-                count=run.record.count[finite].astype(float),
+                time=run.record.time[is_finite],
+                time_sd=run.record.time_sd[is_finite],
+                count=run.record.count[is_finite].astype(float),
                 spacing=run.record.report.step,
-                error=signal.error[finite],
+                error=signal.error[is_finite],
                 in_g=accelerometer.channel.in_g,
                 angle_error=run.rotation.error if run.rotation else None,
                 recorder=campaign.recording_of(run.run).recorder,
                 latitude_sensitivity=None
                 if signal.latitude_derivative is None
-                else signal.latitude_derivative[finite],
-                timestamp_errors=timestamp_errors and timestamp_errors.select(finite),
+                else signal.latitude_derivative[is_finite],
+                timestamp_errors=timestamp_errors and timestamp_errors.select(is_finite),
             )
             record_series = record_series.with_timestamp_noise(timing_noise)
             series.append(
@@ -107,8 +107,8 @@ def stated_timing_noise(campaign: Campaign) -> tuple[float, float]:
     """Return the stated noise of time stamps, s, and of the encoder, rad; 0: not stated."""
     noise = campaign.noise
     values = (noise.timing, noise.angle) if noise else (0.0, 0.0)
-    timing, angle = (value if isinstance(value, float) else 0.0 for value in values)
-    return timing, angle
+    timing_noise, encoder_noise = (value if isinstance(value, float) else 0.0 for value in values)
+    return timing_noise, encoder_noise
 
 
 def _timestamp_errors(
@@ -137,7 +137,7 @@ def make_noise(campaign: Campaign) -> dict[str, Noise]:
             name: _noise_model(campaign.noise, accelerometer)
             for name, accelerometer in campaign.accelerometers.items()
         }
-    static_noise = load_name(STATIC_NOISE)(campaign)
+    static_noise = load_name(STATIC_NOISE_FUNCTION)(campaign)
     return {
         name: replace(
             _noise_model(static_noise[name].sizes, accelerometer),
@@ -152,10 +152,10 @@ def _noise_model(noise: StatedNoise | None, accelerometer: Accelerometer) -> Noi
     unknown_noise = Noise(ESTIMATE, ESTIMATE if is_integrated else 0.0)
     if noise is None:
         return unknown_noise
-    sizes = {key: _size_or_estimate(size) for key, size in noise if key in NOISE_UNITS}
-    if sizes["quantisation"] is ESTIMATE:
-        sizes["quantisation"] = 0.0
-    model = Noise.from_sizes(sizes, accelerometer.observable)
+    noise_sizes = {key: _size_or_estimate(size) for key, size in noise if key in NOISE_UNITS}
+    if noise_sizes["quantisation"] is ESTIMATE:
+        noise_sizes["quantisation"] = 0.0
+    model = Noise.from_sizes(noise_sizes, accelerometer.observable)
     if not is_integrated and model.random_walk is ESTIMATE:
         model = replace(model, white=ESTIMATE, random_walk=0.0)
     # Rows without noise have no weights, so noise is estimated, except a random walk stated as 0.

@@ -36,18 +36,18 @@ if TYPE_CHECKING:
 UnknownType = TypeVar("UnknownType", bound=Unknown)
 
 #: Inputs at whose stated values the fit evaluates its model.
-_RADIUS: Final = "centrifuge.radius"
-_LATITUDE: Final = "site.latitude"
+_RADIUS_NAME: Final = "centrifuge.radius"
+_LATITUDE_NAME: Final = "site.latitude"
 
 #: Shift of a tested source in standard uncertainties.
-_SHIFT: Final = 2.0
+_SHIFT_SIGMAS: Final = 2.0
 
 #: Largest number of tested sources, and their smallest share in the u^2 of any coefficient.
 _MAX_SOURCES: Final = 8
 _MIN_SHARE: Final = 1e-3
 
 #: Number of full fits with all tested sources drawn together.
-_JOINT_FITS: Final = 4
+_JOINT_FIT_COUNT: Final = 4
 
 _SEED: Final = 102
 
@@ -70,7 +70,7 @@ class Response:
 
         deviations: Deviations of the source, in standard uncertainties.
         """
-        x = deviations / _SHIFT
+        x = deviations / _SHIFT_SIGMAS
         odd_part = 0.5 * (self.upper_difference - self.lower_difference)
         even_part = 0.5 * (self.upper_difference + self.lower_difference)
         return np.asarray(odd_part * x + even_part * x**2)
@@ -132,20 +132,20 @@ def assess_linearity(
         u = unknowns[source].prior[1]
         with suppress(CounterspinError):
             fits = [
-                _fit_shifted_campaign(campaign, observed_runs, {source: sign * _SHIFT * u})
+                _fit_shifted_campaign(campaign, observed_runs, {source: sign * _SHIFT_SIGMAS * u})
                 for sign in (-1.0, 1.0)
             ]
             tested_sources.append(source)
             for key, (name, value) in estimates.items():
-                linear_shift = sensitivities[key].get(source, 0.0) * _SHIFT * u
+                linear_shift = sensitivities[key].get(source, 0.0) * _SHIFT_SIGMAS * u
                 lower_shift, upper_shift = (fitted_values[name] - value for fitted_values in fits)
                 responses[key][source] = Response(
                     lower_shift + linear_shift, upper_shift - linear_shift
                 )
     joint_differences: dict[tuple[str, str], float] = {}
     generator = np.random.default_rng(_SEED)
-    for _ in range(_JOINT_FITS if len(tested_sources) > 1 else 0):
-        draws = generator.uniform(-_SHIFT, _SHIFT, len(tested_sources))
+    for _ in range(_JOINT_FIT_COUNT if len(tested_sources) > 1 else 0):
+        draws = generator.uniform(-_SHIFT_SIGMAS, _SHIFT_SIGMAS, len(tested_sources))
         shifts = {
             source: float(x) * unknowns[source].prior[1]
             for source, x in zip(tested_sources, draws, strict=True)
@@ -185,7 +185,7 @@ def _choose_sources(
             unknown = unknowns.get(name)
             if line.kind == NOISE or unknown is None or unknown.correlations:
                 continue
-            is_input = name in (_RADIUS, _LATITUDE, TIMING)
+            is_input = name in (_RADIUS_NAME, _LATITUDE_NAME, TIMING)
             is_term = has_readings and line.kind != DEFAULT_PRIOR and unknown.symbol not in INPUTS
             if is_input or is_term:
                 shares[name] = max(shares.get(name, 0.0), line.share)
@@ -222,7 +222,7 @@ def _fit_shifted_campaign(
             for run in observed_runs
         ]
     problem = locate_nonlinear_inputs(JointProblem(shifted_campaign, observed_runs))
-    shifted_names = shifts.keys() - {_RADIUS, _LATITUDE, TIMING}
+    shifted_names = shifts.keys() - {_RADIUS_NAME, _LATITUDE_NAME, TIMING}
     model = problem.model
     if shifted_names:
         model = replace(
@@ -256,10 +256,10 @@ def _shift_inputs(campaign: Campaign, shifts: Mapping[str, float]) -> Campaign:
     def shift_quantity(quantity: Quantity, name: str) -> Quantity:
         return replace(quantity, value=quantity.value + shifts[name])
 
-    if _RADIUS in shifts:
-        campaign = replace(campaign, radius=shift_quantity(campaign.radius, _RADIUS))
-    if _LATITUDE in shifts:
-        latitude = shift_quantity(campaign.latitude, _LATITUDE)
+    if _RADIUS_NAME in shifts:
+        campaign = replace(campaign, radius=shift_quantity(campaign.radius, _RADIUS_NAME))
+    if _LATITUDE_NAME in shifts:
+        latitude = shift_quantity(campaign.latitude, _LATITUDE_NAME)
         site = replace(campaign.site, latitude=latitude.value)
         campaign = replace(campaign, latitude=latitude, site=site)
     if TIMING in shifts:

@@ -56,7 +56,7 @@ def make_unknowns(campaign: Campaign) -> Unknowns:
     nuisance_unknowns: list[Unknown] = []
     considered_terms: list[Considered] = []
     requested_symbols, considered_symbols = campaign.model.terms, campaign.model.considered
-    for owner, symbol in _acting_terms(campaign):
+    for owner, symbol in _active_terms(campaign):
         stated_value = _stated_prior(campaign, owner, symbol)
         prior, is_default = resolve_prior(campaign, owner, symbol, stated_value)
         limit = campaign.limit_of(symbol, owner)
@@ -125,8 +125,8 @@ def is_requested(campaign: Campaign, symbol: str, name: str = "") -> bool:
     if symbol == "K_II":
         return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
     triad = campaign.triad
-    is_posed = triad is not None and triad.has_poses and name in triad.accelerometers
-    return is_posed and symbol in ("K_F", *SENSITIVITY_TERMS)
+    has_poses = triad is not None and triad.has_poses and name in triad.accelerometers
+    return has_poses and symbol in ("K_F", *SENSITIVITY_TERMS)
 
 
 def fixed_terms(campaign: Campaign, model: Unknowns, name: str) -> tuple[Considered, ...]:
@@ -140,7 +140,7 @@ def fixed_terms(campaign: Campaign, model: Unknowns, name: str) -> tuple[Conside
     }
     return tuple(
         Considered(owner, symbol, (term(symbol).nominal, 0.0), campaign.limit_of(symbol, owner))
-        for owner, symbol in _acting_terms(campaign, name)
+        for owner, symbol in _active_terms(campaign, name)
         if prior_sds.get((owner, symbol), 0.0) == 0.0
     )
 
@@ -217,7 +217,7 @@ def inputs_by_owner(campaign: Campaign) -> dict[tuple[str, str], Quantity]:
     return inputs
 
 
-def _acting_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str, str]]:
+def _active_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str, str]]:
     """Return owner and symbol of the terms that affect one accelerometer, or any of them."""
     names = [accelerometer] if accelerometer else list(campaign.accelerometers)
     frame_terms = campaign.triad.frame_misalignments if campaign.triad else ()
@@ -267,8 +267,8 @@ def _is_active(
 
 def _has_mean_product(product: SpecificForceProduct, axes: Mounting) -> bool:
     """Return whether a product has a non-zero mean at a constant rotation of an arm."""
-    up = axes.matrix[:, 2]
-    mean_product = product.evaluate(np.zeros(3), np.array([up[0], up[1], 0.0]))
+    up_axis = axes.matrix[:, 2]
+    mean_product = product.evaluate(np.zeros(3), np.array([up_axis[0], up_axis[1], 0.0]))
     return abs(float(mean_product)) > _ZERO_TOLERANCE
 
 
@@ -287,7 +287,7 @@ def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[
         if symbol == LEVER_ARM:
             yield from ((name, symbol) for name in names if has_lever_arm)
             continue
-        acting_keys = {
+        active_keys = {
             key
             for key in attitudes
             if any(
@@ -298,7 +298,7 @@ def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[
         affected_runs = [
             run
             for run in campaign.runs
-            if symbol in named_symbols or not acting_keys.isdisjoint(run.attitude_keys)
+            if symbol in named_symbols or not active_keys.isdisjoint(run.attitude_keys)
         ]
         for run in affected_runs if row.per_run else affected_runs[:1]:
             yield (run.name if row.per_run else ""), symbol
@@ -307,9 +307,9 @@ def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[
 @lru_cache(maxsize=1024)
 def _is_observable(symbol: str, observable: str, mounting: Mounting, attitude_bytes: bytes) -> bool:
     """Return whether a shared term affects a record."""
-    effect, matrix = SHARED_TERMS[symbol].effect, np.frombuffer(attitude_bytes).reshape(3, 3)
+    effect, attitude = SHARED_TERMS[symbol].effect, np.frombuffer(attitude_bytes).reshape(3, 3)
     is_sensitive = effect.acts_on if observable == "displacement" else effect.shows_in
-    return is_sensitive(mounting.turned(matrix).input_axis, matrix)
+    return is_sensitive(mounting.turned(attitude).input_axis, attitude)
 
 
 def _inseparable_squares(

@@ -46,19 +46,19 @@ _BATCH_COUNT: Final = 10
 _MAX_LENGTH_RATIO: Final = 1.01
 
 
-def check_trials(trials: int, method: str) -> None:
+def check_trials(n_trials: int, method: str) -> None:
     """Raise UsageError if the number of trials is too small or too large."""
     if method != "joint":
         raise UsageError("calibrate", ["`monte_carlo`: requires the joint method"])
-    if not MIN_TRIALS <= trials <= MAX_TRIALS:
+    if not MIN_TRIALS <= n_trials <= MAX_TRIALS:
         raise UsageError(
             "calibrate",
-            [f"`monte_carlo`: specify {MIN_TRIALS} to {MAX_TRIALS} trials, not {trials}"],
+            [f"`monte_carlo`: specify {MIN_TRIALS} to {MAX_TRIALS} trials, not {n_trials}"],
         )
 
 
 def add_intervals(
-    result: Result, campaign: Campaign, observed_runs: Sequence[ObservedRun], trials: int
+    result: Result, campaign: Campaign, observed_runs: Sequence[ObservedRun], n_trials: int
 ) -> Result:
     """Return a result with the intervals of its estimated coefficients by Monte Carlo.
 
@@ -88,7 +88,7 @@ def add_intervals(
                     distributions, sources, name, run_names
                 )
                 errors = draw_errors(
-                    lines, coefficient, source_distributions, trials, generator, responses
+                    lines, coefficient, source_distributions, n_trials, generator, responses
                 )
                 linearity_fields = linearity.describe(name, symbol, coefficient.u)
                 interval = make_interval(errors, coefficient)
@@ -134,7 +134,7 @@ def draw_errors(
     lines: list[BudgetLine],
     coefficient: Coefficient,
     distributions: Mapping[str, InputDistribution],
-    trials: int,
+    n_trials: int,
     generator: np.random.Generator,
     responses: Mapping[str, Response],
 ) -> Array:
@@ -144,25 +144,25 @@ def draw_errors(
 
     responses: Source -> significant non-linear response.
     """
-    errors = np.zeros(trials)
+    errors = np.zeros(n_trials)
     normal_variance = 0.0
     noise_variance = sum(line.contribution**2 for line in lines if line.kind == "noise")
     noise_dof = _noise_dof(coefficient, noise_variance)
     contributions = {line.source: (line.sensitivity or 0.0) * (line.u or 0.0) for line in lines}
     for source, response in responses.items():
-        draws = draw_standardized(distributions.get(source, NORMAL), trials, generator)
+        draws = draw_standardized(distributions.get(source, NORMAL), n_trials, generator)
         errors += contributions.get(source, 0.0) * draws + response.excess(draws)
     for line in lines:
         distribution = distributions.get(line.source)
         if line.source in responses:
             continue
         if line.kind in ("stated", "held") and distribution is not None:
-            errors += line.contribution * draw_standardized(distribution, trials, generator)
+            errors += line.contribution * draw_standardized(distribution, n_trials, generator)
         elif line.kind != "noise" or math.isinf(noise_dof):
             normal_variance += line.contribution**2
     if not math.isinf(noise_dof):
-        errors += math.sqrt(noise_variance) * generator.standard_t(noise_dof, trials)
-    errors += math.sqrt(normal_variance) * generator.standard_normal(trials)
+        errors += math.sqrt(noise_variance) * generator.standard_t(noise_dof, n_trials)
+    errors += math.sqrt(normal_variance) * generator.standard_normal(n_trials)
     return errors
 
 
@@ -186,16 +186,16 @@ def make_interval(errors: Array, coefficient: Coefficient) -> MonteCarloInterval
     assert coefficient.value is not None
     assert coefficient.u is not None
     low, high = shortest_interval(errors)
-    levels = (0.5 * (1.0 - COVERAGE), 0.5 * (1.0 + COVERAGE))
-    batches = [np.quantile(batch, levels) for batch in np.array_split(errors, _BATCH_COUNT)]
-    scatter = 2.0 * np.std(batches, axis=0, ddof=1) / math.sqrt(_BATCH_COUNT)
+    probabilities = (0.5 * (1.0 - COVERAGE), 0.5 * (1.0 + COVERAGE))
+    batches = [np.quantile(batch, probabilities) for batch in np.array_split(errors, _BATCH_COUNT)]
+    endpoint_u = 2.0 * np.std(batches, axis=0, ddof=1) / math.sqrt(_BATCH_COUNT)
     tolerance = numerical_tolerance(coefficient.u)
     gum_interval = np.array(coefficient.interval(COVERAGE)) - coefficient.value
-    difference = np.abs(np.quantile(errors, levels) - gum_interval)
+    endpoint_difference = np.abs(np.quantile(errors, probabilities) - gum_interval)
     is_validated: bool | None = None
-    if (difference + scatter <= tolerance).all():
+    if (endpoint_difference + endpoint_u <= tolerance).all():
         is_validated = True
-    elif (difference - scatter > tolerance).any():
+    elif (endpoint_difference - endpoint_u > tolerance).any():
         is_validated = False
     return MonteCarloInterval(
         trials=errors.size,
@@ -216,8 +216,8 @@ def shortest_interval(errors: Array) -> tuple[float, float]:
     sorted_errors = np.sort(errors)
     covered_count = math.ceil(COVERAGE * errors.size)
     lengths = sorted_errors[covered_count:] - sorted_errors[: errors.size - covered_count]
-    start = int(np.argmin(lengths))
+    start_index = int(np.argmin(lengths))
     symmetric_start = (errors.size - covered_count) // 2
-    if lengths[symmetric_start] < _MAX_LENGTH_RATIO * lengths[start]:
-        start = symmetric_start
-    return float(sorted_errors[start]), float(sorted_errors[start + covered_count])
+    if lengths[symmetric_start] < _MAX_LENGTH_RATIO * lengths[start_index]:
+        start_index = symmetric_start
+    return float(sorted_errors[start_index]), float(sorted_errors[start_index + covered_count])

@@ -39,7 +39,7 @@ from counterspin.units import ZERO_CELSIUS
 _MIN_HORIZONTAL_COMPONENT: Final = 0.05
 
 #: Number of powers of t in a straight line: 1 and t.
-_STRAIGHT_LINE: Final = 2
+_STRAIGHT_LINE_ORDER: Final = 2
 
 #: Largest difference between stated and recorded temperature, K: chamber and instrument differ.
 _MAX_TEMPERATURE_DIFFERENCE: Final = 5.0
@@ -76,7 +76,7 @@ class ObservedRun:
     signals: Mapping[str, Signal]  #: By accelerometer.
 
 
-def observe(campaign: Campaign) -> Iterator[ObservedRun]:
+def observe_runs(campaign: Campaign) -> Iterator[ObservedRun]:
     """Read the runs of a campaign one by one."""
     _check_files_exist(campaign)
     runs_by_digest: dict[bytes, Run] = {}
@@ -104,23 +104,23 @@ def detect_detrending(moments_by_run: Mapping[str, Array]) -> tuple[int, list[st
     """
     if not moments_by_run:
         return 0, []
-    common_count = detrending_order(list(moments_by_run.values()))
-    counts = {run: detrending_order([moments]) for run, moments in moments_by_run.items()}
-    count = max(common_count, *counts.values())
-    return count, [run for run, moments in counts.items() if count in (common_count, moments)]
+    common_order = detrending_order(list(moments_by_run.values()))
+    orders = {run: detrending_order([moments]) for run, moments in moments_by_run.items()}
+    order = max(common_order, *orders.values())
+    return order, [run for run, moments in orders.items() if order in (common_order, moments)]
 
 
 def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str, Array]) -> None:
     """Raise RecordError if more was removed from a signal than the start values absorb."""
     observable = campaign.accelerometers[name].observable
-    count, runs = detect_detrending(moments_by_run)
-    if count <= observation.ORDERS[observable]:
+    order, runs = detect_detrending(moments_by_run)
+    if order <= observation.ORDERS[observable]:
         return
     column = campaign.accelerometers[name].channel.name
-    power_names = ", ".join(("1", "t", "t^2")[:count])
-    end_condition = ", or zero at both ends in every run" if count == _STRAIGHT_LINE else ""
+    power_names = ", ".join(("1", "t", "t^2")[:order])
+    end_condition = ", or zero at both ends in every run" if order == _STRAIGHT_LINE_ORDER else ""
     raise RecordError(
-        f"{', '.join(runs)}: a {REMOVED[count]} was removed from column '{column}' ({name}) "
+        f"{', '.join(runs)}: a {REMOVED[order]} was removed from column '{column}' ({name}) "
         f"before the file was written: the rows are orthogonal to {power_names}{end_condition} to "
         "the last digit, which does not occur in an unprocessed record. This also removed the "
         f"effect of K_F and K_II on {observable.replace('_', ' ')}. Switch this processing "
@@ -351,17 +351,17 @@ def recorded_temperatures(
     if key not in profiles:
         profiles[key] = read_temperature_profile(source, columns)
     profile = profiles[key]
-    difference = max(
+    max_difference = max(
         (max(min(profile) - value, value - max(profile)) for value in entry.temperature or ()),
         default=0.0,
     )
-    if difference > _MAX_TEMPERATURE_DIFFERENCE:
+    if max_difference > _MAX_TEMPERATURE_DIFFERENCE:
         low, high = (f"{value - ZERO_CELSIUS:.4g}" for value in (min(profile), max(profile)))
         (column,) = columns.signals.values()
         raise RecordError(
             f"{source}: column '{column.name}' contains temperatures from {low} to {high} degC; "
             f'the temperature stated for "{entry.name}" differs from these values by '
-            f"{difference:.3g} K. Correct the unit of the column or the stated temperature, or "
+            f"{max_difference:.3g} K. Correct the unit of the column or the stated temperature, or "
             "remove that temperature.",
             code="temperature-mismatch",
         )

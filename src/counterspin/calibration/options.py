@@ -38,7 +38,7 @@ def acceptance_arguments(accepted_misfit: str | None) -> list[str]:
 MONTE_CARLO: Final = "counterspin.calibration.monte_carlo"
 
 
-def further_arguments(without: Sequence[str], monte_carlo: int) -> list[str]:
+def extra_arguments(without: Sequence[str], monte_carlo: int) -> list[str]:
     """Return the command-line arguments that omit runs and request Monte Carlo intervals."""
     trial_arguments = [f"--monte-carlo={monte_carlo}"] if monte_carlo else []
     return [*(f"--without={name}" for name in without), *trial_arguments]
@@ -51,7 +51,7 @@ def command_arguments(method: str, options: TwoStageOptions) -> list[str]:
     """
     if method == "joint":
         return []
-    defaults = TwoStageOptions()
+    default_options = TwoStageOptions()
     arguments = {
         "model": f"--model={options.model}",
         "weighted": "--no-weighted",
@@ -64,13 +64,13 @@ def command_arguments(method: str, options: TwoStageOptions) -> list[str]:
         *(
             text
             for key, text in arguments.items()
-            if getattr(options, key) != getattr(defaults, key)
+            if getattr(options, key) != getattr(default_options, key)
         ),
     ]
 
 
 #: Argument without a value -> option that it sets.
-_FLAGS: Final[dict[str, dict[str, Any]]] = {
+_VALUELESS_ARGUMENTS: Final[dict[str, dict[str, Any]]] = {
     "--no-weighted": {"weighted": False},
     "--no-fit-bias": {"fit_bias": False},
     "--sigma=residuals": {"from_residuals": True},
@@ -80,16 +80,16 @@ _FLAGS: Final[dict[str, dict[str, Any]]] = {
 def parse_options(arguments: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[str, ...]]:
     """Return method, options and omitted runs from the arguments that a result stores."""
     method: Method = "joint"
-    keywords: dict[str, Any] = {}
+    option_values: dict[str, Any] = {}
     without = []
     for argument in arguments:
         key, _, value = argument.partition("=")
         if argument == "--method=two-stage":
             method = "two-stage"
-        elif argument in _FLAGS:
-            keywords |= _FLAGS[argument]
+        elif argument in _VALUELESS_ARGUMENTS:
+            option_values |= _VALUELESS_ARGUMENTS[argument]
         elif key in ("--model", "--ripple"):
-            keywords[key.removeprefix("--")] = value
+            option_values[key.removeprefix("--")] = value
         elif key == "--without":
             without.append(value)
         else:
@@ -98,4 +98,4 @@ def parse_options(arguments: Sequence[str]) -> tuple[Method, TwoStageOptions, tu
                 [f"{argument}: this version does not have this option"],
                 code="newer-version",
             )
-    return method, TwoStageOptions(**keywords), tuple(without)
+    return method, TwoStageOptions(**option_values), tuple(without)

@@ -279,10 +279,10 @@ def residual_tables(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, A
     """
     tables: list[dict[str, Any]] = []
     for block, residuals in zip(fit.design_blocks, fit.residuals, strict=True):
-        series, unweighted = block.series, residuals.unweighted
-        whitened = np.full(unweighted.size, np.nan)
+        series, unweighted_residuals = block.series, residuals.unweighted
+        whitened = np.full(unweighted_residuals.size, np.nan)
         # A difference is assigned to the later of its rows.
-        whitened[unweighted.size - residuals.whitened.size :] = residuals.whitened
+        whitened[unweighted_residuals.size - residuals.whitened.size :] = residuals.whitened
         tables.append(
             {
                 "accelerometer": block.accelerometer,
@@ -290,8 +290,8 @@ def residual_tables(fit: JointFit, units: Mapping[str, str]) -> list[dict[str, A
                 "time": series.time,
                 "count": series.count,
                 "error": series.error,
-                "fitted": series.error - unweighted,
-                "residual": unweighted,
+                "fitted": series.error - unweighted_residuals,
+                "residual": unweighted_residuals,
                 "whitened": whitened,
                 "unit": units[block.accelerometer],
             }
@@ -359,7 +359,7 @@ def make_run_result(
     parabolas: Mapping[str, ParabolaResult] | None = None,
     terms: Mapping[str, Coefficient] | None = None,
     fit: Mapping[str, dict[str, float | str | None]] | None = None,
-    outliers: int = 0,
+    n_outliers: int = 0,
 ) -> RunResult:
     """Return the rotation and the counts of samples of a run."""
     rotation, report = run.rotation, run.record.report
@@ -367,7 +367,7 @@ def make_run_result(
     # Without a recorded angle, the joint fit estimates the rotation.
     rotation_terms = {symbol: run_terms.pop(symbol) for symbol in ROTATION if symbol in run_terms}
     _, rate, drift = (rotation_terms.get(symbol) for symbol in ROTATION)
-    counts = report.counts(outliers)
+    counts = report.counts(n_outliers)
     ripples = [
         RippleResult(
             harmonic=ripple.harmonic,
@@ -401,12 +401,12 @@ def check_outlier_share(
     subject: str, counts: Mapping[str, int], accelerometer_count: int = 1
 ) -> list[Finding]:
     """Return a finding if the fraction of outliers exceeds `MAX_OUTLIER_SHARE`."""
-    samples = counts["rows"] * accelerometer_count
-    share = counts["outliers"] / samples
+    n_samples = counts["rows"] * accelerometer_count
+    share = counts["outliers"] / n_samples
     if share <= MAX_OUTLIER_SHARE:
         return []
     text = (
-        f"{subject}: {counts['outliers']} of {samples} samples were rejected as outliers. Find "
+        f"{subject}: {counts['outliers']} of {n_samples} samples were rejected as outliers. Find "
         "the cause, because the remaining samples may also be affected."
     )
     return [Finding(code="many-outliers", subject=subject, text=text, size=share)]

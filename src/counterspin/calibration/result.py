@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 #: Modules of the plots, of the validation of files, and of conversions, loaded on demand.
 _PICTURES_MODULE: Final = "counterspin.calibration.pages.pictures"
-_FILE_MODULE: Final = "counterspin.calibration.result_file"
+_RESULT_FILE_MODULE: Final = "counterspin.calibration.result_file"
 _CONVERSION_MODULE: Final = "counterspin.calibration.result_conversion"
 
 #: Error message if a result has no residuals, which files do not store.
@@ -111,8 +111,8 @@ class Result(ReportableResult):
 
     @field_validator("accelerometers", "runs")
     @classmethod
-    def _suggest_names(cls, parts: dict[str, Any]) -> dict[str, Any]:
-        return NamedParts(parts)
+    def _suggest_names(cls, values: dict[str, Any]) -> dict[str, Any]:
+        return NamedParts(values)
 
     @model_validator(mode="wrap")
     @classmethod
@@ -120,7 +120,9 @@ class Result(ReportableResult):
         """Upgrade the document of an earlier version."""
         is_schema_1 = isinstance(document, dict) and document.get("schema") == 1
         result = handler(
-            load_name(f"{_FILE_MODULE}:upgrade")(document) if is_schema_1 else document
+            load_name(f"{_RESULT_FILE_MODULE}:upgrade_document")(document)
+            if is_schema_1
+            else document
         )
         if is_schema_1:
             result._assumes_all = True
@@ -336,14 +338,14 @@ class Result(ReportableResult):
         frame: pl.DataFrame = load_name(f"{_CONVERSION_MODULE}:residual_frame")(self._residuals)
         criteria = {"accelerometer": accelerometer, "run": run}
         filters = {column: name for column, name in criteria.items() if name is not None}
-        selection = frame.filter(**filters) if filters else frame
-        if selection.is_empty():
+        selected_rows = frame.filter(**filters) if filters else frame
+        if selected_rows.is_empty():
             available_pairs = frame.select(*criteria).unique(maintain_order=True).rows()
             names = ", ".join(f"{owner} in {name}" for owner, name in available_pairs)
             raise KeyError(
                 f"the result has no residuals of {accelerometer} in {run}; it has those of {names}"
             )
-        return selection
+        return selected_rows
 
     def plot(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the residuals over time, a picture a run.
@@ -409,7 +411,7 @@ class Result(ReportableResult):
 
     def validation_errors(self) -> Iterator[str]:
         """Yield the contradictions between the parts of a result."""
-        yield from load_name(f"{_FILE_MODULE}:find_faults")(self)
+        yield from load_name(f"{_RESULT_FILE_MODULE}:find_faults")(self)
 
 
 read_result = Result.read

@@ -92,9 +92,9 @@ def summarize(result: Result) -> str:
     lines = [f"{name.ljust(width)}  {text}" for name, text in named_coefficients]
     findings = [f"{finding.subject}: {finding.text}" for finding in result.findings]
     remarks = [
-        escape_controls(shortened)
+        escape_controls(shortened_text)
         for text in findings[:1]
-        if (shortened := text[:_LINE_CHARACTERS])
+        if (shortened_text := text[:_LINE_CHARACTERS])
     ]
     if hidden_count := len(findings) - 1:
         remarks += [f"... {hidden_count} more findings"] if hidden_count > 0 else []
@@ -172,18 +172,18 @@ def _correlation_root(correlation: Array, dof: Array) -> Array:
     L is triangular if the coefficients are in descending order of degrees of freedom, so that a
     coefficient with few degrees of freedom has a component that the others do not have.
     """
-    order = np.argsort(-dof)
-    values, vectors = np.linalg.eigh(correlation[np.ix_(order, order)])
-    half_matrix = vectors * np.sqrt(np.maximum(values, 0.0))
+    dof_order = np.argsort(-dof)
+    eigenvalues, eigenvectors = np.linalg.eigh(correlation[np.ix_(dof_order, dof_order)])
+    half_matrix = eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))
     root = np.empty_like(half_matrix)
-    _, upper = np.linalg.qr(half_matrix.T)
-    root[order] = upper.T
+    _, upper_triangle = np.linalg.qr(half_matrix.T)
+    root[dof_order] = upper_triangle.T
     # Normalise the rows, because of rounding and clipped negative eigenvalues.
     rows: Array = root / np.linalg.norm(root, axis=1)[:, None]
     return rows
 
 
-def _finite_dof_shares(root: Array, dof: Array) -> Array:
+def _finite_dof_shares(correlation_root: Array, dof: Array) -> Array:
     """Return the variance share of each component with one degree of freedom, from 0 to 1.
 
     If the share s of the variance of a coefficient has one degree of freedom and the remainder
@@ -192,7 +192,7 @@ def _finite_dof_shares(root: Array, dof: Array) -> Array:
     from scipy.optimize import linprog
 
     required_shares = 1.0 / np.sqrt(dof)
-    squares = root**2
+    squares = correlation_root**2
     weights = 1.0 / np.maximum(required_shares, 1e-6)
     solution = linprog(weights @ squares, A_ub=-squares, b_ub=-required_shares, bounds=(0.0, 1.0))
     shares: Array = np.where(solution.x > 1e-12, np.minimum(solution.x, 1.0), 0.0)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _SOURCE_PATTERN: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
 
 #: Kind in a budget of schema 1 -> kind in schema 2.
-_KINDS: Final = {"prior": "stated", "considered": "held", "input": "held", "encoder": "noise"}
+_NEW_KINDS: Final = {"prior": "stated", "considered": "held", "input": "held", "encoder": "noise"}
 
 #: Largest valid coefficient in g-units; its powers must not overflow.
 _MAX_COEFFICIENT: Final = 1e30
@@ -30,7 +30,7 @@ _MAX_QUANTILE: Final = 30.0
 _MIN_DOF: Final = 0.1
 
 
-def upgrade(document: Mapping[str, Any]) -> dict[str, Any]:
+def upgrade_document(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the document of a result of schema 1 in schema 2.
 
     document: Document as read; invalid entries stay for the validation.
@@ -40,8 +40,8 @@ def upgrade(document: Mapping[str, Any]) -> dict[str, Any]:
     accelerometers = upgraded_document.get("accelerometers")
     for accelerometer in accelerometers.values() if isinstance(accelerometers, dict) else ():
         if isinstance(accelerometer, dict):
-            left_out = accelerometer.pop("left_out", None)
-            assumed_terms |= dict.fromkeys(left_out if isinstance(left_out, dict) else ())
+            omitted_terms = accelerometer.pop("left_out", None)
+            assumed_terms |= dict.fromkeys(omitted_terms if isinstance(omitted_terms, dict) else ())
             if isinstance(accelerometer.get("budget"), dict):
                 accelerometer["budget"] = {
                     symbol: _migrate_budget(lines)
@@ -78,15 +78,15 @@ def _contains_tables(values: list[Any]) -> bool:
 def _migrate_budget(lines: Any) -> Any:
     if not isinstance(lines, list):
         return lines
-    return [_migrate_line(line) if isinstance(line, dict) else line for line in lines]
+    return [_migrate_budget_line(line) if isinstance(line, dict) else line for line in lines]
 
 
-def _migrate_line(line: dict[str, Any]) -> dict[str, Any]:
+def _migrate_budget_line(line: dict[str, Any]) -> dict[str, Any]:
     source = line.get("source")
     match = _SOURCE_PATTERN.fullmatch(source) if isinstance(source, str) else None
     if match is None:
         return {**line, "kind": "noise"}
-    return {**line, "source": match["name"], "kind": _KINDS[match["kind"]]}
+    return {**line, "source": match["name"], "kind": _NEW_KINDS[match["kind"]]}
 
 
 # Validation
@@ -145,9 +145,9 @@ def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> 
 
 def matrix_faults(description: str, correlation: Correlation) -> Iterator[str]:
     """Yield a message if the size of a matrix does not match the number of its terms."""
-    size = len(correlation.terms)
-    if [len(row) for row in correlation.matrix] != [size] * size:
-        yield f"{description} is not one of {size} terms"
+    n_terms = len(correlation.terms)
+    if [len(row) for row in correlation.matrix] != [n_terms] * n_terms:
+        yield f"{description} is not one of {n_terms} terms"
 
 
 def _trace_faults(description: str, trace: Trace) -> Iterator[str]:

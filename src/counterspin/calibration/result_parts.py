@@ -494,8 +494,8 @@ class AccelerometerResult(ResultPart):
 
     @field_validator("coefficients", "budget", "conformity")
     @classmethod
-    def _suggest_names(cls, parts: dict[str, Any]) -> dict[str, Any]:
-        return NamedParts(parts)
+    def _suggest_names(cls, values: dict[str, Any]) -> dict[str, Any]:
+        return NamedParts(values)
 
     def __repr__(self) -> str:
         """Return state and coefficients, a line each."""

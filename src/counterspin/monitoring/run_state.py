@@ -13,7 +13,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.accelerometer_view import AccelerometerView, ReadingData
-from counterspin.calibration.assembly import COMPLETE_FRACTION, MAX_RATE_DIFFERENCE
+from counterspin.calibration.assembly import MAX_RATE_DEVIATION, MIN_DURATION_FRACTION
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import make_unknowns
@@ -141,12 +141,12 @@ def run_remarks(
     faults, warnings = list[str](), list[str]()
     if state.rate is not None:
         relative_deviation = state.rate / state.nominal_rate - 1.0
-        if abs(relative_deviation) > MAX_RATE_DIFFERENCE:
+        if abs(relative_deviation) > MAX_RATE_DEVIATION:
             faults.append(
                 f"The spindle turned at {state.rate:.6f} rad/s instead of the nominal "
                 f"{state.nominal_rate:.6f} rad/s ({100 * relative_deviation:+.2f} %)."
             )
-    if state.stated_seconds and state.seconds < COMPLETE_FRACTION * state.stated_seconds:
+    if state.stated_seconds and state.seconds < MIN_DURATION_FRACTION * state.stated_seconds:
         faults.append(
             f"The record lasts {state.seconds:.4g} s instead of the stated "
             f"{state.stated_seconds:.4g} s."

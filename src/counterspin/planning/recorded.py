@@ -13,7 +13,7 @@ import numpy as np
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_problem import JointProblem
 from counterspin.calibration.model import make_unknowns
-from counterspin.calibration.observed_runs import ObservedRun, add_recorded_conditions, observe
+from counterspin.calibration.observed_runs import ObservedRun, add_recorded_conditions, observe_runs
 from counterspin.campaign.description import Campaign
 from counterspin.campaign.documents import require_source
 from counterspin.campaign.quantity import read_attitude_matrix
@@ -84,7 +84,7 @@ def apply_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:
 
 def observe_with_noise(campaign: Campaign) -> tuple[list[ObservedRun], dict[str, Noise]]:
     """Return the records of a campaign, and the noise by accelerometer if it is not stated."""
-    observed_runs = list(observe(campaign))
+    observed_runs = list(observe_runs(campaign))
     if not _unstated_noise_keys(campaign):
         return observed_runs, {}
     estimate, _ = estimate_campaign(JointProblem(campaign, observed_runs))

@@ -9,7 +9,7 @@ from typing import Final
 
 from counterspin.calibration.joint import fit_jointly
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.observed_runs import observe
+from counterspin.calibration.observed_runs import observe_runs
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.calibration.two_stage.method import TwoStageOutcome, calibrate_accelerometer
@@ -71,7 +71,7 @@ def demo(folder: Path | str = DEFAULT_FOLDER, *, overwrite: bool = False) -> Dem
     write_description(folder)
     campaign = read_campaign(folder)
     records = simulate(campaign, folder, overwrite=overwrite)
-    problem = JointProblem(campaign, tuple(observe(campaign)))
+    problem = JointProblem(campaign, tuple(observe_runs(campaign)))
     (accelerometer,) = campaign.accelerometers.values()
     return Demonstration(
         campaign=campaign,

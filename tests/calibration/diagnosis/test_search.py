@@ -23,7 +23,7 @@ from counterspin.calibration.checks.residuals import residual_findings
 from counterspin.calibration.diagnosis import ranking, search
 from counterspin.calibration.joint_problem import JointProblem, make_noise, make_series
 from counterspin.calibration.model import make_unknowns
-from counterspin.calibration.observed_runs import observe
+from counterspin.calibration.observed_runs import observe_runs
 from counterspin.calibration.outcome import noise_lines, summarize_residuals
 from counterspin.campaign.description import read_campaign
 from counterspin.inference.identifiability import assess
@@ -47,7 +47,7 @@ class Campaigns:
         where = make_mistaken_campaign(folder / "own", Mistake("", ""), records)
         (where / "campaign.toml").write_text(text, encoding="utf-8")
         self.campaign = read_campaign(where / "campaign.toml")
-        self.clean = make_series(self.campaign, list(observe(self.campaign)))
+        self.clean = make_series(self.campaign, list(observe_runs(self.campaign)))
         self.model, self.walk, self.columns = make_unknowns(self.campaign), walk, {}
 
     def draw_causes(self, rng):

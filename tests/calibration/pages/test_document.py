@@ -333,7 +333,7 @@ def test_budget_and_correlation_plots():
 def test_strongly_correlated_estimates_are_listed(correlation, rows):
     matrix = [[1.0, correlation], [correlation, 1.0]]
     kept = make_qx_result(correlation={"terms": ["K_F", "K_II"], "matrix": matrix})
-    blocks = list(accelerometer_blocks("Qx", kept.accelerometers["Qx"], 9.8, details=True))
+    blocks = list(accelerometer_blocks("Qx", kept.accelerometers["Qx"], 9.8, show_details=True))
     text = [block for block in blocks if isinstance(block, Paragraph)][-1].text
     tables = [block for block in blocks if isinstance(block, Table)]
     assert text == (

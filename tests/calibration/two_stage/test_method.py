@@ -15,7 +15,7 @@ from scipy.special import chdtrc, stdtrit
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.checks import residuals
 from counterspin.calibration.joint_problem import JointProblem
-from counterspin.calibration.observed_runs import observe
+from counterspin.calibration.observed_runs import observe_runs
 from counterspin.calibration.options import TwoStageOptions, command_arguments
 from counterspin.calibration.result import Result
 from counterspin.calibration.two_stage.method import calibrate_accelerometer, two_stage_view
@@ -160,7 +160,7 @@ def test_tilt_is_held_per_run(tmp_path):
     tilt = extend_model('hold = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }')
     folder = make_records(tmp_path, tilt)
     campaign = read_campaign(folder)
-    problem = JointProblem(campaign, list(observe(campaign)))
+    problem = JointProblem(campaign, list(observe_runs(campaign)))
     outcome = calibrate_accelerometer(
         problem, campaign.accelerometers["Qx"], TwoStageOptions(), {}, problem.series
     )
@@ -382,7 +382,7 @@ def test_degrees_of_freedom_follow_welch_satterthwaite(tmp_path):
 )
 def test_k_ii_alone_equals_full_result(tmp_path, asked):
     campaign = read_campaign(make_records(tmp_path, asked))
-    problem = JointProblem(campaign, list(observe(campaign)))
+    problem = JointProblem(campaign, list(observe_runs(campaign)))
     for accelerometer in campaign.accelerometers.values():
         whole = calibrate_accelerometer(
             problem, accelerometer, TwoStageOptions(), {}, problem.series
@@ -586,7 +586,7 @@ def test_full_trials_have_stated_uncertainty(tmp_path):
             folder, replace_parts(SMALL, ("seed = 1", f"seed = {trial}"))
         )
         simulate(campaign, folder)
-        problem = JointProblem(campaign, list(observe(campaign)))
+        problem = JointProblem(campaign, list(observe_runs(campaign)))
         for name, truth in K_II.items():
             result = calibrate_accelerometer(
                 problem, campaign.accelerometers[name], TwoStageOptions(), {}, problem.series

@@ -66,7 +66,7 @@ def max_limit(symbol: str, owner: str) -> float:  # noqa: ARG001 -- a LimitFunct
 
 
 def check_credibility(
-    limit_of: LimitFunction, name: str, coefficients: Mapping[str, Coefficient]
+    get_limit: LimitFunction, name: str, coefficients: Mapping[str, Coefficient]
 ) -> Iterator[Finding]:
     """Yield the findings on coefficients of an accelerometer beyond their credible limits.
 
@@ -79,7 +79,9 @@ def check_credibility(
         for symbol, coefficient in coefficients.items()
         if symbol in ACCELEROMETER_TERMS
         and (
-            finding := _credibility_finding(limit_of, name, symbol, f"{name}.{symbol}", coefficient)
+            finding := _credibility_finding(
+                get_limit, name, symbol, f"{name}.{symbol}", coefficient
+            )
         )
         is not None
     }
@@ -126,12 +128,12 @@ def check_default_priors(prior_knowledge: Sequence[Knowledge]) -> Iterator[Findi
 
 
 def _credibility_finding(
-    limit_of: LimitFunction, owner: str, symbol: str, subject: str, coefficient: Coefficient
+    get_limit: LimitFunction, owner: str, symbol: str, subject: str, coefficient: Coefficient
 ) -> Finding | None:
     """Return the finding on one estimate; None if it is credible or there is none."""
     if not coefficient.estimated or coefficient.value is None or coefficient.u is None:
         return None
-    row, limit = term(symbol), limit_of(symbol, owner)
+    row, limit = term(symbol), get_limit(symbol, owner)
     excess = abs(coefficient.value - row.nominal) - limit
     if excess <= _MAX_SIGMAS * coefficient.u:
         return None

@@ -24,10 +24,10 @@ def residual_findings(view: AccelerometerView) -> list[Finding]:
     findings = view.data.findings(view)
     if not view.has_records:
         return findings
-    tests = view.diagnostics
-    if tests.findings:
+    diagnostics = view.diagnostics
+    if diagnostics.findings:
         findings.insert(
-            0, lack_of_fit_finding(view.name, tests.findings, summarize_residuals(view))
+            0, lack_of_fit_finding(view.name, diagnostics.findings, summarize_residuals(view))
         )
     return [*findings, *_compare_run_noise(view)]
 
@@ -80,15 +80,15 @@ def noise_remarks(views: Iterable[AccelerometerView]) -> Iterator[str]:
                 f"with independent errors: {stride_text}."
             )
         noise_ratios = {series.run: math.sqrt(series.variance_ratio) for series in view.series}
-        quietest, noisiest = (
-            function(noise_ratios, key=noise_ratios.__getitem__, default="")
-            for function in (min, max)
+        quietest_run, noisiest_run = (
+            extremum(noise_ratios, key=noise_ratios.__getitem__, default="")
+            for extremum in (min, max)
         )
-        if noise_ratios and noise_ratios[noisiest] > noise_ratios[quietest]:
-            ratio = noise_ratios[noisiest] / noise_ratios[quietest]
+        if noise_ratios and noise_ratios[noisiest_run] > noise_ratios[quietest_run]:
+            ratio = noise_ratios[noisiest_run] / noise_ratios[quietest_run]
             yield (
-                f"{view.name}: the noise in {noisiest} is {ratio:.2g} times the noise in "
-                f"{quietest}. The fit weights each run by its noise. Find the cause, and check "
+                f"{view.name}: the noise in {noisiest_run} is {ratio:.2g} times the noise in "
+                f"{quietest_run}. The fit weights each run by its noise. Find the cause, and check "
                 "whether the runs also differ in other respects."
             )
         if timing_noise := estimated_timing_noise(view):

@@ -19,7 +19,7 @@ class Explanation(PriorExplanation):
 
     def describe(self) -> FindingText:
         """Return the explanation as text."""
-        describe_kind = {
+        describe_method = {
             "term": self._describe_term,
             mistakes.SCALE: self._describe_scale,
             mistakes.RUN_SCALE: self._describe_scale,
@@ -32,7 +32,7 @@ class Explanation(PriorExplanation):
             mistakes.SLOPE: self._describe_step,
             mistakes.BIAS_STEP: self._describe_bias_step,
         }.get(self.alternative.kind, super().describe)
-        return describe_kind()
+        return describe_method()
 
     def _describe_term(self) -> FindingText:
         name, limit = self.alternative.name, self.alternative.credible_range[1]
@@ -150,8 +150,8 @@ class Explanation(PriorExplanation):
         )
 
     def _describe_drift(self) -> FindingText:
-        is_single = len(self.alternative.columns) == 1
-        start_clause = "" if is_single else " from the start of every run"
+        is_single_record = len(self.alternative.columns) == 1
+        start_clause = "" if is_single_record else " from the start of every run"
         text = (
             f"{self._record_names} would fit with a bias that drifts by "
             f"{self._format_estimate('g/s')}{start_clause}. Possible causes are warm-up, creep or "

@@ -70,7 +70,7 @@ def _noise_finding(name: str, noise_ratios: Mapping[str, float]) -> Finding:
         f"{format_number(noise_ratios[run], 2)} times" for run in deviating_runs[:_MAX_NAMED_RUNS]
     ]
     ratio_texts[0] += " the stated noise"
-    ratio_list = ", ".join(
+    ratios_text = ", ".join(
         f"{ratio_text} in {run}"
         for ratio_text, run in zip(ratio_texts, deviating_runs, strict=False)
     )
@@ -79,7 +79,7 @@ def _noise_finding(name: str, noise_ratios: Mapping[str, float]) -> Finding:
     )
     text = (
         f"The differences between adjacent rows show that the noise of {name} is "
-        f"{ratio_list}{contrast_clause}. Find the cause. Alternatively, remove the value from "
+        f"{ratios_text}{contrast_clause}. Find the cause. Alternatively, remove the value from "
         "[noise], so that counterspin estimates the noise of each run."
     )
     max_ratio = max(max(ratio, 1.0 / ratio) for ratio in noise_ratios.values())

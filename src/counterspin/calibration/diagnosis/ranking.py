@@ -33,7 +33,7 @@ _PRIOR_KINDS: Final = ("prior", "priors")
 
 #: Kinds that rank first among equal explanations: stated values are easy to check, and the Coriolis
 #: alternative has no free size.
-_FIRST_KINDS: Final = (mistakes.CORIOLIS, *_PRIOR_KINDS)
+_PREFERRED_KINDS: Final = (mistakes.CORIOLIS, *_PRIOR_KINDS)
 
 _TIMED_KINDS: Final = (mistakes.JUMP, mistakes.SLOPE, mistakes.BIAS_STEP)  # in a record
 
@@ -162,7 +162,7 @@ def _rank_rivals(tests: ScoreTests, index: int, is_noise_known: bool) -> BestExp
         return (
             _is_too_large(tests, k),
             is_implausible,
-            alternatives[k].kind not in _FIRST_KINDS,
+            alternatives[k].kind not in _PREFERRED_KINDS,
             negative_evidence,
             has_owner,
             k,

@@ -225,9 +225,9 @@ def _search_causes(
         causes.append(_make_cause(finding_text, explanation, views, estimate, corrected_estimate))
         estimate = corrected_estimate
     if is_noise_known:
-        recorded_views = (replace(view, estimate=estimate) for view in views if view.has_records)
+        record_views = (replace(view, estimate=estimate) for view in views if view.has_records)
         wrong_noise_findings = (
-            finding for view in recorded_views for finding in check_stated_noise(view)
+            finding for view in record_views for finding in check_stated_noise(view)
         )
         sorted_findings = sorted(wrong_noise_findings, key=lambda finding: -(finding.size or 0.0))
         causes += [Cause(finding, (finding.subject,), {}) for finding in sorted_findings]
@@ -282,13 +282,15 @@ def _run_p_values(view: AccelerometerView) -> Iterator[float]:
         )
 
 
-def _harmonic_p(power: np.ndarray, rows: int, rate: float, interval: float, scale: float) -> float:
+def _harmonic_p(
+    power: np.ndarray, n_rows: int, rate: float, interval: float, scale: float
+) -> float:
     """Return the p-value of the periodogram at the rotation frequency."""
-    index = round(abs(rate) * interval * rows / (2.0 * math.pi)) - 1
-    neighbours = power[max(index - 1, 0) : index + 2]
-    if not neighbours.size or not scale > 0.0:
+    index = round(abs(rate) * interval * n_rows / (2.0 * math.pi)) - 1
+    nearby_power = power[max(index - 1, 0) : index + 2]
+    if not nearby_power.size or not scale > 0.0:
         return 1.0
-    return min(1.0, neighbours.size * math.exp(-float(neighbours.max()) / scale))
+    return min(1.0, nearby_power.size * math.exp(-float(nearby_power.max()) / scale))
 
 
 # The alternatives
@@ -369,9 +371,9 @@ def _is_robust(estimate: Estimate, explanation: BestExplanation) -> bool:
         # For a column, the corrected fit includes this noise. The shift of priors is the weighted
         # sum of their distances from the estimates, with inverse variances as weights.
         gain = np.zeros(len(estimate.fit.model.unknowns))
-        for index, step in explanation.alternative.prior_shifts.items():
+        for index, prior_shift in explanation.alternative.prior_shifts.items():
             prior_sd = estimate.fit.model.unknowns[index].prior[1]
-            gain[index] = step * variance / prior_sd**2 if prior_sd > 0.0 else 0.0
+            gain[index] = prior_shift * variance / prior_sd**2 if prior_sd > 0.0 else 0.0
         variance += float(
             gain @ undetected_walk_covariance(estimate.fit, estimate.estimated_noise) @ gain
         )

@@ -265,11 +265,11 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
     )
     residual_norms = np.linalg.norm(fit.solution.project_out(data, priors), axis=0)
     default_sds = np.array([untested_input.default_sd for untested_input in inputs])
-    sizes = np.minimum(
+    input_changes = np.minimum(
         default_sds,
         _DETECTABLE_SIGMAS / np.maximum(residual_norms, _DETECTABLE_SIGMAS / default_sds),
     )
-    shifts = sizes * fit.solution.undetected_shifts(data, priors)
+    shifts = input_changes * fit.solution.undetected_shifts(data, priors)
     for view in views:
         remarks = []
         for index, untested_input in enumerate(inputs):
@@ -277,7 +277,7 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
             if ratio >= _MIN_INPUT_SHIFT:
                 clause = (
                     f"{untested_input.description} has an error of "
-                    f"{format_magnitude(untested_input.symbol, float(sizes[index]))}"
+                    f"{format_magnitude(untested_input.symbol, float(input_changes[index]))}"
                 )
                 shift_text = (
                     f"{format_magnitude(symbol, abs(shift))}, or "
@@ -321,8 +321,8 @@ def _run_clock_inputs(fit: JointFit) -> Iterator[_UntestedInput]:
         depends_on_clock = [index in observation.unknowns for observation in fit.observations]
         runs = dict.fromkeys(
             observation.run
-            for observation, is_shown in zip(fit.observations, depends_on_clock, strict=True)
-            if is_shown
+            for observation, is_dependent in zip(fit.observations, depends_on_clock, strict=True)
+            if is_dependent
         )
         for run in runs if len(runs) > 1 else ():
             data = np.concatenate(

@@ -55,7 +55,7 @@ _COUNT_NOUNS: Final = {
 
 
 def accelerometer_blocks(
-    name: str, accelerometer: AccelerometerResult, gravity: float, *, details: bool
+    name: str, accelerometer: AccelerometerResult, gravity: float, *, show_details: bool
 ) -> Iterator[Block]:
     """Yield the results of an accelerometer; gravity: m/s^2; details: as in a report."""
     yield Heading(f"Accelerometer {name}")
@@ -70,14 +70,14 @@ def accelerometer_blocks(
     yield from method_blocks(accelerometer)
     if accelerometer.readings:
         yield tabulate_tests(accelerometer.readings)
-    yield from _reading_blocks(accelerometer.readings, details=details)
+    yield from _reading_blocks(accelerometer.readings, show_details=show_details)
     if accelerometer.two_stage is not None:
         yield Paragraph(
             _comparison_sentence(accelerometer.two_stage, accelerometer.coefficients.get("K_II"))
         )
     if accelerometer.jackknife and "K_II" in accelerometer.coefficients:
         yield from _jackknife_table(accelerometer.jackknife, accelerometer.coefficients["K_II"])
-    if details:
+    if show_details:
         yield from _correlation_blocks(accelerometer)
 
 
@@ -91,10 +91,10 @@ def _output_units_text(accelerometer: AccelerometerResult) -> str:
     return f"Coefficients in the unit of the readings: {', '.join(estimate_texts)}{nominal_clause}."
 
 
-def _reading_blocks(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
+def _reading_blocks(readings: Sequence[ReadingResult], *, show_details: bool) -> Iterator[Block]:
     if not readings:
         return
-    shown_readings = readings if details else readings[:MAX_TERMINAL_ROWS]
+    shown_readings = readings if show_details else readings[:MAX_TERMINAL_ROWS]
     yield Table(
         n_omitted=len(readings) - len(shown_readings),
         columns=(
@@ -122,7 +122,7 @@ def _reading_blocks(readings: Sequence[ReadingResult], *, details: bool) -> Iter
     ).without_empty_columns()
     for reading in (reading for reading in readings if reading.samples is not None):
         yield from note_blocks(reading.name, reading)
-        if details:
+        if show_details:
             yield from count_blocks(reading.name, reading)
 
 
@@ -312,14 +312,14 @@ def _jackknife_table(lines: Sequence[Jackknife], coefficient: Coefficient) -> It
     if rounded_estimate is not None and rounded_estimate.exponent:
         unit = f"1e{rounded_estimate.exponent} {unit}"
 
-    def format_value(number: float | None) -> str:
-        if number is None:
+    def format_value(value: float | None) -> str:
+        if value is None:
             return NOT_DETERMINED
-        scaled_number = number * factor
+        scaled_value = value * factor
         return (
-            rounded_estimate.format(scaled_number)
+            rounded_estimate.format(scaled_value)
             if rounded_estimate is not None
-            else format_number(scaled_number, 6)
+            else format_number(scaled_value, 6)
         )
 
     yield Table(

@@ -41,14 +41,14 @@ def budget_blocks(name: str, result: Result) -> Iterator[Block]:
 def interval_blocks(name: str, result: Result) -> Iterator[Block]:
     """Yield the GUM and Monte Carlo coverage intervals of an accelerometer, if available."""
     outcome_texts = {True: "validated", False: "not validated", None: "too few trials"}
-    rows, trials = [], 0
+    rows, n_trials = [], 0
     accelerometer = result.accelerometers[name]
     for symbol, monte_carlo in accelerometer.monte_carlo.items():
         coefficient = accelerometer.coefficients[symbol]
         if coefficient.value is None or coefficient.u is None:
             continue
         unit, factor = find_display_unit(coefficient.unit)
-        u, trials = coefficient.u * factor, monte_carlo.trials
+        u, n_trials = coefficient.u * factor, monte_carlo.trials
         intervals = (coefficient.interval(), (monte_carlo.low, monte_carlo.high))
         gum_text, shortest_text = (
             format_interval(0.5 * (low + high) * factor, u, 0.5 * (high - low) * factor)
@@ -58,7 +58,7 @@ def interval_blocks(name: str, result: Result) -> Iterator[Block]:
             (symbol, gum_text, shortest_text, unit, outcome_texts[monte_carlo.gum_validated])
         )
     if rows:
-        yield Heading(f"95 % coverage intervals of {name}, {trials} trials (JCGM 101)", 3)
+        yield Heading(f"95 % coverage intervals of {name}, {n_trials} trials (JCGM 101)", 3)
         yield Table(
             columns=(
                 Column("Coefficient"),

@@ -111,9 +111,9 @@ def _variance_shares(budget: Sequence[BudgetLine]) -> Iterator[Share]:
     for line in shown_lines:
         label = f"{_short_name(line.source)} {format_share(line.share)}"
         yield Share(label, line.share, line.kind == "unstated")
-    remainder = max(1.0 - math.fsum(line.share for line in shown_lines), 0.0)
-    if shown_lines and remainder > 0.0:
-        yield Share(f"others {format_share(remainder)}", remainder)
+    remaining_share = max(1.0 - math.fsum(line.share for line in shown_lines), 0.0)
+    if shown_lines and remaining_share > 0.0:
+        yield Share(f"others {format_share(remaining_share)}", remaining_share)
 
 
 def _short_name(source: str) -> str:

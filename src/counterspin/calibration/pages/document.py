@@ -81,11 +81,13 @@ _BATCH_COLUMNS = (
 )
 
 
-def result_blocks(result: Result, *, budget: bool = False, details: bool = False) -> list[Block]:
+def result_blocks(
+    result: Result, *, show_budget: bool = False, show_details: bool = False
+) -> list[Block]:
     """Return the blocks of a result, the main estimates first.
 
-    budget: Whether the uncertainty budgets are written.
-    details: Whether strong correlations, run counts, input files and their checksums are written.
+    show_budget: Whether the uncertainty budgets are written.
+    show_details: Whether strong correlations, run counts and checksums of inputs are written.
     """
     result = judge_result(result)
     blocks: list[Block] = [
@@ -94,17 +96,19 @@ def result_blocks(result: Result, *, budget: bool = False, details: bool = False
         *conformity_blocks(result),
     ]
     for name, accelerometer in result.accelerometers.items():
-        blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
+        blocks += accelerometer_blocks(
+            name, accelerometer, result.inputs.gravity, show_details=show_details
+        )
         blocks += interval_blocks(name, result)
-        if budget:
+        if show_budget:
             blocks += budget_blocks(name, result)
-    blocks += triad_blocks(result, details=details)
+    blocks += triad_blocks(result, show_details=show_details)
     blocks += platform_blocks(result)
-    if budget:
+    if show_budget:
         blocks += prior_blocks(result)
     if result.runs:
-        blocks += [Heading("Runs"), *run_blocks(result.runs, details=details)]
-    if details:
+        blocks += [Heading("Runs"), *run_blocks(result.runs, show_details=show_details)]
+    if show_details:
         blocks += _detail_blocks(result)
     return blocks
 
@@ -121,19 +125,19 @@ def notebook_blocks(result: Result) -> list[Block]:
 # Main estimates
 
 
-def answer_blocks(result: Result, *, report: bool = False) -> Iterator[Block]:
+def answer_blocks(result: Result, *, for_report: bool = False) -> Iterator[Block]:
     """Yield title, K_II of each accelerometer, warnings on the result, and conventions.
 
     A contradiction by the records precedes all numbers.
 
-    report: Whether K_II is also given in g/g^2, on a card for each accelerometer.
+    for_report: Whether K_II is also given in g/g^2, on a card for each accelerometer.
     """
     yield Heading(result.title or "Calibration", 1)
     yield from misfit_blocks(result)
     yield from seal_warnings(result)
     for name, accelerometer in result.accelerometers.items():
-        paragraphs = list(_answer_paragraphs(name, accelerometer, shows_g_units=report))
-        card = accelerometer_card(name, accelerometer, paragraphs) if report else None
+        paragraphs = list(_answer_paragraphs(name, accelerometer, shows_g_units=for_report))
+        card = accelerometer_card(name, accelerometer, paragraphs) if for_report else None
         yield from paragraphs if card is None else [card]
     yield from triad_summary(result)
     if sentence := assumption_sentence(result):
@@ -203,8 +207,8 @@ def platform_blocks(result: Result) -> Iterator[Block]:
         yield Table(table.columns[1:], tuple(row[1:] for row in table.rows), table.quiet_rows)
 
 
-def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
-    """Yield rotation, samples and fits of the runs; with `details`, counts of each kind."""
+def run_blocks(runs: dict[str, RunResult], *, show_details: bool) -> Iterator[Block]:
+    """Yield rotation, samples and fits of the runs; with `show_details`, counts of each kind."""
     if not runs:
         return
     yield Table(
@@ -238,7 +242,7 @@ def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
     yield from _fit_table(runs)
     for name, run in runs.items():
         yield from note_blocks(name, run)
-    if details:
+    if show_details:
         yield from _count_blocks(runs)
 
 
@@ -342,17 +346,17 @@ def full_report_blocks(result: Result) -> list[Block]:
         "Residuals": _residual_chapter(result),
         "Runs": _run_chapter(result),
     }
-    blocks: list[Block] = list(answer_blocks(result, report=True))
+    blocks: list[Block] = list(answer_blocks(result, for_report=True))
     for title, chapter in chapters.items():
-        if content := _lower_headings(chapter):
+        if content := _demote_headings(chapter):
             blocks += [Heading(title), *content]
     # Names of files and checksums are not typeset.
-    heading, inputs, *origin_tables = _lower_headings(origin_blocks(result))
-    blocks += [Heading("Inputs"), *_lower_headings(model_blocks(result)), heading, inputs]
+    heading, input_paragraph, *origin_tables = _demote_headings(origin_blocks(result))
+    blocks += [Heading("Inputs"), *_demote_headings(model_blocks(result)), heading, input_paragraph]
     return [*map(typeset_block, blocks), *origin_tables]
 
 
-def _lower_headings(blocks: Iterable[Block]) -> list[Block]:
+def _demote_headings(blocks: Iterable[Block]) -> list[Block]:
     """Return blocks with all headings lowered to level 3."""
     return [Heading(block.text, 3) if isinstance(block, Heading) else block for block in blocks]
 
@@ -362,11 +366,13 @@ def _coefficient_chapter(result: Result) -> Iterator[Block]:
     yield from verdict_tables(result)
     yield from conformity_blocks(result)
     for name, accelerometer in result.accelerometers.items():
-        yield from accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=True)
+        yield from accelerometer_blocks(
+            name, accelerometer, result.inputs.gravity, show_details=True
+        )
         yield from _existing_pictures(
             jackknife_plot(name, accelerometer), correlation_map(name, accelerometer)
         )
-    yield from triad_blocks(result, details=True)
+    yield from triad_blocks(result, show_details=True)
     yield from pose_pictures(result)
     yield from platform_blocks(result)
 
@@ -388,7 +394,7 @@ def _residual_chapter(result: Result) -> Iterator[Block]:
 
 
 def _run_chapter(result: Result) -> Iterator[Block]:
-    yield from run_blocks(result.runs, details=True)
+    yield from run_blocks(result.runs, show_details=True)
     yield from _existing_pictures(ripple_plot(result.runs))
 
 
@@ -401,16 +407,16 @@ def print_result(
 ) -> None:
     """Print a result to a console, by default to standard output; options as for `render`."""
     console = console or make_console()
-    console.print(render(result, budget=budget, details=details))
+    console.print(render(result, show_budget=budget, show_details=details))
 
 
-def render(result: Result, *, budget: bool = False, details: bool = False) -> Report:
+def render(result: Result, *, show_budget: bool = False, show_details: bool = False) -> Report:
     """Return a result as a rich renderable.
 
-    budget: Whether to show the uncertainty budgets.
-    details: Whether to show correlations, counts, input files and their checksums.
+    show_budget: Whether to show the uncertainty budgets.
+    show_details: Whether to show correlations, counts, input files and their checksums.
     """
-    return Report(result_blocks(result, budget=budget, details=details))
+    return Report(result_blocks(result, show_budget=show_budget, show_details=show_details))
 
 
 def batch_blocks(batch: BatchResult) -> list[Block]:

@@ -124,11 +124,11 @@ def _method_sentence(result: Result) -> str:
             "revolution, taken at zero reference displacement. It then fits a function of the "
             "rate to the curvatures."
         )
-    readings = ["all readings of all test methods"] if group_readings(result) else []
-    poses = ["all poses (two unknown angles each)"] if unknown_poses(result) else []
-    if readings or poses:
-        records = ["all samples of the records"] if result.runs else []
-        observation_text = " and ".join([*records, *readings, *poses])
+    reading_texts = ["all readings of all test methods"] if group_readings(result) else []
+    pose_texts = ["all poses (two unknown angles each)"] if unknown_poses(result) else []
+    if reading_texts or pose_texts:
+        record_texts = ["all samples of the records"] if result.runs else []
+        observation_text = " and ".join([*record_texts, *reading_texts, *pose_texts])
         return (
             f"Weighted least squares fits {observation_text} together. Priors enter as "
             "pseudo-observations. The fit does not adjust considered quantities. Their "
@@ -213,11 +213,11 @@ def unknown_poses(result: Result) -> list[PoseResult]:
 def describe_tests(result: Result) -> Iterator[str]:
     """Yield a sentence on each test of a campaign with readings or poses."""
     for motion, readings in group_readings(result).items():
-        count = _format_count(len(readings), "reading")
+        count_text = _format_count(len(readings), "reading")
         if motion == "static":
             position_text = _format_count(len(_distinct_positions(readings)), "position")
             yield (
-                f"Readings at rest in {position_text}: {count} (multi-position test, IEEE Std "
+                f"Readings at rest in {position_text}: {count_text} (multi-position test, IEEE Std "
                 "1293)."
             )
             continue
@@ -225,7 +225,7 @@ def describe_tests(result: Result) -> Iterator[str]:
             amplitudes = _list_amplitudes(readings)
             yield (
                 f"Readings during vibration at {_format_count(len(amplitudes), 'amplitude')}, "
-                f"{_format_range(amplitudes)} m/s^2 (peak): {count}. Each reading is the mean "
+                f"{_format_range(amplitudes)} m/s^2 (peak): {count_text}. Each reading is the mean "
                 "over whole vibration cycles."
             )
             continue
@@ -249,8 +249,8 @@ def describe_tests(result: Result) -> Iterator[str]:
             else "Readings on a double turntable"
         )
         yield (
-            f"{test_text} at {rate_text}, {sense_text}{mounting_text}: {count}. Each reading is "
-            "the mean over whole revolutions."
+            f"{test_text} at {rate_text}, {sense_text}{mounting_text}: {count_text}. Each reading "
+            "is the mean over whole revolutions."
         )
     if poses := unknown_poses(result):
         yield f"Readings at rest in {_format_count(len(poses), 'pose')} of unknown attitude."
@@ -302,14 +302,14 @@ def reading_blocks(result: Result) -> Iterator[Block]:
             "In a pose of unknown attitude, |f| = g. The direction of f is estimated together "
             "with the coefficients."
         )
-    motions = group_readings(result)
-    if not motions:
+    readings_by_motion = group_readings(result)
+    if not readings_by_motion:
         return
     yield Paragraph(
         "A reading is the indication at rest, or the mean indication over whole revolutions. "
         "The specific force depends on radius R, rate w, Earth rate Ω and latitude L:"
     )
-    for motion in motions:
+    for motion in readings_by_motion:
         yield Paragraph(_FORCE_EQUATIONS[motion], "equation")
     machine_symbols = [
         symbol
@@ -374,8 +374,8 @@ def method_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
             if symbol in accelerometer.coefficients
         ),
     )
-    level = method_test_level(methods)
-    sentence = "; ".join(_agreement_text(method, level) for method in methods)
+    test_level = method_test_level(methods)
+    sentence = "; ".join(_agreement_text(method, test_level) for method in methods)
     yield Paragraph("Agreement between the test methods: " + sentence + ".")
 
 

@@ -20,7 +20,7 @@ from counterspin.reports.numbers import find_display_unit, format_share, format_
 _MAX_CURVES: Final = 6
 
 #: Unit of residuals -> unit of plots and its factor.
-_SMALL_UNITS: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "m/s^2": ("mm/s^2", 1e3)}
+_SUBMULTIPLE_UNITS: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "m/s^2": ("mm/s^2", 1e3)}
 
 _COVERAGE_FACTOR: Final = 1.96
 
@@ -151,7 +151,7 @@ def residual_spectra(
 
 
 def _residual_unit(accelerometer: AccelerometerResult) -> tuple[str, float]:
-    return _SMALL_UNITS.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
+    return _SUBMULTIPLE_UNITS.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
 
 
 def _residual_traces(
@@ -304,12 +304,14 @@ def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
         key=lambda pair: pair[0],
     )
     if math.isfinite(rows) and shortest_trace.trace.quantiles is not None:
-        normal = tuple(shortest_trace.trace.quantiles.normal)
-        half_width = tuple(_quantile_half_width(z, rows) for z in normal)
+        z_values = tuple(shortest_trace.trace.quantiles.normal)
+        half_widths = tuple(_quantile_half_width(z, rows) for z in z_values)
         label = f"normal distribution, 95 % ({shortest_trace.run})"
-        low = tuple(-half for half in half_width)
+        low = tuple(-half_width for half_width in half_widths)
         series.append(
-            PlotSeries(label, normal, (0.0,) * len(normal), low, half_width, "band", colour="muted")
+            PlotSeries(
+                label, z_values, (0.0,) * len(z_values), low, half_widths, "band", colour="muted"
+            )
         )
     # Minus the quantiles of the normal distribution: otherwise all curves would look alike.
     series += [
@@ -317,8 +319,10 @@ def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
             residual_trace.run,
             tuple(quantiles.normal),
             tuple(
-                found - normal_quantile
-                for found, normal_quantile in zip(quantiles.found, quantiles.normal, strict=True)
+                sample_quantile - normal_quantile
+                for sample_quantile, normal_quantile in zip(
+                    quantiles.found, quantiles.normal, strict=True
+                )
             ),
             colour=residual_trace.colour,
         )

@@ -30,7 +30,7 @@ _QUANTILE_COUNT: Final = 120
 _MAX_OUTLIERS: Final = 100
 
 #: Significant digits; a plot shows three.
-_DIGITS: Final = 4
+_DIGIT_COUNT: Final = 4
 
 #: Residuals below this magnitude are rounding errors of data without noise.
 _MIN_MAGNITUDE: Final = 1e-15
@@ -49,8 +49,8 @@ def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
     residuals = view.fit.residuals[index].unweighted
     whitened = view.fit.residuals[index].whitened
     periodogram = view.diagnostics.runs[series.run].periodogram
-    segment_share = _TOTAL_SEGMENTS // len(view.fit.design_blocks)
-    segment_count = min(max(segment_share, _MIN_SEGMENTS), _MAX_SEGMENTS)
+    segments_per_run = _TOTAL_SEGMENTS // len(view.fit.design_blocks)
+    segment_count = min(max(segments_per_run, _MIN_SEGMENTS), _MAX_SEGMENTS)
     time, low, high = envelope(series.time, residuals, segment_count)
     angle = series.trajectory.spindle.angle(series.time)
     for bin_count in _REVOLUTION_BINS:
@@ -121,7 +121,7 @@ def _null_if_nan(values: Array) -> list[float | None]:
     return [None if math.isnan(value) else value for value in _round_digits(values)]
 
 
-def _round_digits(values: Array, digits: int = _DIGITS) -> list[float]:
+def _round_digits(values: Array, digits: int = _DIGIT_COUNT) -> list[float]:
     """Round values to significant digits, except NaN."""
     magnitude = np.abs(values)
     is_ordinary = (magnitude > _MIN_MAGNITUDE) & (magnitude < 1.0 / _MIN_MAGNITUDE)
@@ -142,16 +142,16 @@ def _round_digits(values: Array, digits: int = _DIGITS) -> list[float]:
 # Thinning
 
 
-def envelope(time: Array, values: Array, count: int) -> tuple[Array, Array, Array]:
-    """Return middle times, smallest and largest values of at most `count` segments of samples.
+def envelope(time: Array, values: Array, segment_count: int) -> tuple[Array, Array, Array]:
+    """Return middle times, minima and maxima of at most `segment_count` segments of samples.
 
     The segments have equal numbers of samples, so that a gap in the record remains visible, and
     no extreme sample is lost.
 
     time, values: Shape (n,), n >= 1, in the order of time.
-    count: At least 1.
+    segment_count: At least 1.
     """
-    first_indices = _unique(np.arange(count) * time.size // count)
+    first_indices = _unique(np.arange(segment_count) * time.size // segment_count)
     last_indices = np.append(first_indices[1:], time.size) - 1
     return (
         0.5 * (time[first_indices] + time[last_indices]),
@@ -181,21 +181,21 @@ def fold_over_revolution(angle: Array, values: Array, bin_count: int) -> tuple[A
 
 
 def smoothed_spectrum(
-    power: Array, length: float, count: int
+    power: Array, duration: float, band_count: int
 ) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Return frequencies (Hz), mean power and lines of at most `count` bands; 1 is white noise.
+    """Return frequency (Hz), mean power and lines of at most `band_count` bands; white noise: 1.
 
     The bands are equally wide on a logarithmic scale.
 
     power: The periodogram of whitened residuals, from `counterspin.inference.diagnostics`, shape
         (m,).
-    length: Length of the record, s: inverse of the frequency of the first line.
-    count: At least 1.
+    duration: Length of the record, s: inverse of the frequency of the first line.
+    band_count: At least 1.
     """
-    edges = _unique(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
-    first_lines, width = edges[:-1], np.diff(edges)
-    frequency = (first_lines + 0.5 * (width - 1)) / length
-    return frequency, np.add.reduceat(power[: edges[-1] - 1], first_lines - 1) / width, width
+    edges = _unique(np.geomspace(1.0, power.size + 1.0, band_count + 1).astype(np.intp))
+    first_lines, widths = edges[:-1], np.diff(edges)
+    frequency = (first_lines + 0.5 * (widths - 1)) / duration
+    return frequency, np.add.reduceat(power[: edges[-1] - 1], first_lines - 1) / widths, widths
 
 
 def normal_quantiles(whitened_residuals: Array, count: int) -> tuple[Array, Array]:
@@ -209,9 +209,9 @@ def normal_quantiles(whitened_residuals: Array, count: int) -> tuple[Array, Arra
     Returns: shape (m,), m <= count.
     """
     n = whitened_residuals.size
-    min_level = normal_quantile(0.625 / (n + 0.25))
-    levels = np.linspace(min_level, -min_level, min(count, n)).tolist()
-    exact_ranks = np.array([normal_cdf(level) for level in levels]) * (n + 0.25) + 0.375
+    min_z = normal_quantile(0.625 / (n + 0.25))
+    z_values = np.linspace(min_z, -min_z, min(count, n)).tolist()
+    exact_ranks = np.array([normal_cdf(z) for z in z_values]) * (n + 0.25) + 0.375
     ranks = _unique(np.clip(np.rint(exact_ranks), 1, n).astype(np.intp))
     normal = [normal_quantile(p) for p in ((ranks - 0.375) / (n + 0.25)).tolist()]
     return np.array(normal), np.sort(whitened_residuals)[ranks - 1]

@@ -81,7 +81,7 @@ def nominal_outputs(result: Result, triad: TriadResult) -> str:
     return ", ".join(f"{name} {output.words}" for name, output in outputs.items() if output)
 
 
-def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
+def triad_blocks(result: Result, *, show_details: bool) -> Iterator[Block]:
     """Yield parameters, corrected output and poses of a triad; details: all poses."""
     triad = result.triad
     if triad is None:
@@ -114,7 +114,7 @@ def triad_blocks(result: Result, *, details: bool) -> Iterator[Block]:
         )
         for note in record.notes:
             yield Paragraph(f"{name}: {note}", "warning")
-    yield from _pose_blocks(triad, details=details)
+    yield from _pose_blocks(triad, show_details=show_details)
 
 
 def _parameter_table(triad: TriadResult) -> Table:
@@ -164,9 +164,9 @@ def parameter_description(name: str) -> str:
     return f"{symbol} of {owner}, {term(symbol).words}"
 
 
-def _pose_blocks(triad: TriadResult, *, details: bool) -> Iterator[Block]:
+def _pose_blocks(triad: TriadResult, *, show_details: bool) -> Iterator[Block]:
     poses = triad.poses
-    if not details:
+    if not show_details:
         worst_poses = sorted(poses, key=lambda pose: -abs(pose.z or 0.0))[:_MAX_LISTED_POSES]
         poses = [pose for pose in triad.poses if pose in worst_poses]
     if not poses:
@@ -234,7 +234,7 @@ def _direction_sphere(triad: TriadResult, gravity: float) -> Sphere:
             (pose.direction[0], pose.direction[1], pose.direction[2]) for pose in triad.poses
         ),
         values=tuple(pose.residual * gravity * factor for pose in triad.poses),
-        names=tuple(str(number) for number in range(1, len(triad.poses) + 1)),
+        names=tuple(str(pose_number) for pose_number in range(1, len(triad.poses) + 1)),
         value_label=f"residual, {unit}",
         highlighted_points=frozenset(k for k, pose in enumerate(triad.poses) if _is_outlying(pose)),
     )
@@ -251,14 +251,12 @@ def _residual_plots(result: Result, triad: TriadResult) -> Iterator[Plot]:
     if all(axes):
         input_axes = np.array([axis_rows[0] for axis_rows in axes if axis_rows])
         values = np.array([pose.values for pose in triad.poses])
-        uncorrected = scale * (np.linalg.norm(np.linalg.solve(input_axes, values.T), axis=0) - 1.0)
+        raw_errors = scale * (np.linalg.norm(np.linalg.solve(input_axes, values.T), axis=0) - 1.0)
         yield Plot(
             title="Uncorrected |f| - g by pose",
             x_label="pose",
             y_label=f"|f| - g, {unit}",
-            series=(
-                PlotSeries("", x_values, tuple(uncorrected.tolist()), kind="points", colour=0),
-            ),
+            series=(PlotSeries("", x_values, tuple(raw_errors.tolist()), kind="points", colour=0),),
             levels=(0.0,),
             x_names=labels,
             height=0.7,
@@ -288,16 +286,16 @@ def _residual_plots(result: Result, triad: TriadResult) -> Iterator[Plot]:
 
 def _detection_plot(name: str, record: PosesInRecord, poses: Sequence[PoseResult]) -> Plot:
     """Return a plot of the scatter over time with the threshold and the poses."""
-    floor = 0.7 * min((level for level in record.level if level > 0.0), default=record.threshold)
-    spans = [(pose.start, pose.end) for pose in poses if pose.start is not None and pose.end]
+    y_min = 0.7 * min((level for level in record.level if level > 0.0), default=record.threshold)
+    pose_spans = [(pose.start, pose.end) for pose in poses if pose.start is not None and pose.end]
     # A gap after each pose, so that they are not joined.
-    times = tuple(chain.from_iterable((start, end, end) for start, end in spans))
-    pose_count = len(spans)
+    times = tuple(chain.from_iterable((start, end, end) for start, end in pose_spans))
+    pose_count = len(pose_spans)
     pose_band = PlotSeries(
         "poses (scatter below the threshold)",
         times,
         (record.threshold, record.threshold, None) * pose_count,
-        low=(floor, floor, None) * pose_count,
+        low=(y_min, y_min, None) * pose_count,
         high=(record.threshold, record.threshold, None) * pose_count,
         kind="band",
         colour=2,

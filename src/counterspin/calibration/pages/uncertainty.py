@@ -32,7 +32,7 @@ _MIN_LINE_SHARE: Final = 1e-4
 _MAX_SMALL_LINES: Final = 3
 
 #: Largest number of assumed terms in a list.
-_MAX_NAMES: Final = 8
+_MAX_LISTED_NAMES: Final = 8
 
 
 class HasUncertainty(Protocol):
@@ -145,9 +145,9 @@ def _contribution_sentence(line: BudgetLine, symbol: str) -> str:
     return f"{source_text} contributes {format_share(line.share)} of the variance of {symbol}."
 
 
-def _format_source_u(line: BudgetLine, factor_of_u: float) -> str:
+def _format_source_u(line: BudgetLine, u_factor: float) -> str:
     unit, factor = find_display_unit(line.unit)
-    return f"{format_number((line.u or 0.0) * factor * factor_of_u, 2)} {unit}".strip()
+    return f"{format_number((line.u or 0.0) * factor * u_factor, 2)} {unit}".strip()
 
 
 def assumption_sentence(result: HasAssumptions) -> str:
@@ -155,9 +155,9 @@ def assumption_sentence(result: HasAssumptions) -> str:
     names = result.assumed
     if not names:
         return ""
-    first_names = ", ".join(names[:_MAX_NAMES])
-    remaining_count = len(names) - _MAX_NAMES
-    name_list = f"{first_names} and {remaining_count} more" if remaining_count > 0 else first_names
+    shown_names = ", ".join(names[:_MAX_LISTED_NAMES])
+    remaining_count = len(names) - _MAX_LISTED_NAMES
+    name_list = f"{shown_names} and {remaining_count} more" if remaining_count > 0 else shown_names
     return (
         "u does not include the uncertainty of these terms, which are fixed at their nominal "
         f"values: {name_list}."
@@ -198,14 +198,14 @@ def prior_blocks(result: Result) -> Iterator[Block]:
 
 def _correlation_sentence(result: Result) -> str:
     """Return a sentence on the stated correlations between priors; empty without any."""
-    pairs: dict[frozenset[str], float] = {}
+    correlations_by_pair: dict[frozenset[str], float] = {}
     for name, accelerometer in result.accelerometers.items():
         all_correlations = accelerometer.prior_correlations
         for term, correlations in all_correlations.items():
             for other_term, r in correlations.items():
                 full_name = f"{name}.{other_term}" if other_term in all_correlations else other_term
-                pairs[frozenset({f"{name}.{term}", full_name})] = r
-    texts = [f"{' and '.join(sorted(pair))} {r:g}" for pair, r in pairs.items()]
+                correlations_by_pair[frozenset({f"{name}.{term}", full_name})] = r
+    texts = [f"{' and '.join(sorted(pair))} {r:g}" for pair, r in correlations_by_pair.items()]
     return f"Stated correlations between priors: {', '.join(texts)}." if texts else ""
 
 

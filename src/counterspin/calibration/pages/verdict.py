@@ -82,7 +82,7 @@ def finding_text(finding: Finding) -> str:
     """Return the text of a finding and of the findings that it explains."""
     if not finding.explains:
         return finding.text
-    explained_text = " ".join(explained.text for explained in finding.explains)
+    explained_text = " ".join(explained_finding.text for explained_finding in finding.explains)
     return f"{finding.text} This explains these other findings: {explained_text}"
 
 

@@ -34,17 +34,17 @@ _MIN_P: Final = 0.001
 _MIN_CHI2: Final = 1e-12
 
 
-def unstated_considered(
+def unstated_considered_symbols(
     campaign: Campaign, name: str, second_stage: SecondStage
 ) -> tuple[str, ...]:
     """Return the considered terms without stated priors that are requested or assumed perfect."""
     stated_symbols = {*campaign.accelerometers[name].priors, *campaign.model.priors}
     symbols = [
-        considered.symbol
-        for considered in second_stage.fit.model.considered
-        if considered.symbol not in stated_symbols
-        and considered.symbol not in INPUTS
-        and (considered.prior[1] == 0.0 or considered.symbol in campaign.model.terms)
+        considered_term.symbol
+        for considered_term in second_stage.fit.model.considered
+        if considered_term.symbol not in stated_symbols
+        and considered_term.symbol not in INPUTS
+        and (considered_term.prior[1] == 0.0 or considered_term.symbol in campaign.model.terms)
     ]
     return tuple(dict.fromkeys(symbols))
 
@@ -56,7 +56,7 @@ def inseparable_sums(
     confounded_sets = []
     for symbol in second_stage.symbols:
         inseparable_weights = second_stage.alike(
-            symbol, unstated_considered(view.campaign, view.name, second_stage)
+            symbol, unstated_considered_symbols(view.campaign, view.name, second_stage)
         )
         if not inseparable_weights:
             continue
@@ -69,14 +69,14 @@ def inseparable_sums(
         parameters = {
             parameter.symbol: parameter for parameter in (*model.considered, *model.unknowns)
         }
-        sizes = [parameters[name].limit + parameters[name].nominal for name in weights]
+        limits = [parameters[name].limit + parameters[name].nominal for name in weights]
         confounded_sets.append(
             ConfoundedTerms(
                 terms=list(weights),
                 # Terms with the same effect have negatively correlated estimates.
                 correlation=-1.0 if next(iter(inseparable_weights.values())) > 0.0 else 1.0,
                 determined=format_combination(
-                    list(weights), list(weights.values()), [0.1 * u / size for size in sizes]
+                    list(weights), list(weights.values()), [0.1 * u / limit for limit in limits]
                 ),
                 weights=list(weights.values()),
                 value=value,
@@ -107,7 +107,7 @@ def check_two_stage(
                 f"{name}.{symbol}",
                 symbol,
                 "runs",
-                requested=is_requested(view.campaign, symbol, name),
+                is_requested=is_requested(view.campaign, symbol, name),
             )
             for symbol in second_stage.symbols
             if coefficients[symbol].value is None
@@ -140,17 +140,17 @@ def check_strobe_noise(
     view: AccelerometerView, residual: Residual, sigma: float
 ) -> Iterator[Finding]:
     """Yield a finding if the scatter of the strobes is below the stated noise; sigma: m."""
-    p, level = residual.lack_of_fit_p, CHI_SQUARE_SIGNIFICANCE / len(view.campaign.accelerometers)
-    if p is None or residual.chi2 is None or p <= 1.0 - level:
+    p, alpha = residual.lack_of_fit_p, CHI_SQUARE_SIGNIFICANCE / len(view.campaign.accelerometers)
+    if p is None or residual.chi2 is None or p <= 1.0 - alpha:
         return
-    ratio = math.sqrt(max(residual.chi2, _MIN_CHI2) / residual.dof)
+    noise_ratio = math.sqrt(max(residual.chi2, _MIN_CHI2) / residual.dof)
     text = (
-        f"The scatter of the strobes is only {format_number(ratio, 2)} times the stated noise: "
-        f"{format_number(ratio * sigma, 2)} m instead of {format_number(sigma, 2)} m. "
+        f"The scatter of the strobes is only {format_number(noise_ratio, 2)} times the stated "
+        f"noise: {format_number(noise_ratio * sigma, 2)} m instead of {format_number(sigma, 2)} m. "
         "The value of u is therefore too large. Check the stated noise, or let counterspin "
         "estimate the noise."
     )
-    yield Finding(code="wrong-noise", subject=view.name, text=text, size=1.0 / ratio)
+    yield Finding(code="wrong-noise", subject=view.name, text=text, size=1.0 / noise_ratio)
 
 
 def _check_run_agreement(name: str, second_stage: SecondStage) -> list[Finding]:

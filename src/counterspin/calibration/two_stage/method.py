@@ -12,7 +12,7 @@ import numpy as np
 from counterspin.calibration.accelerometer_view import AccelerometerView
 from counterspin.calibration.checks.limits import check_credibility
 from counterspin.calibration.checks.residuals import undetected_walk_remarks
-from counterspin.calibration.joint_problem import STATIC_NOISE, JointProblem
+from counterspin.calibration.joint_problem import STATIC_NOISE_FUNCTION, JointProblem
 from counterspin.calibration.model import fixed_terms
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.outcome import (
@@ -36,7 +36,7 @@ from counterspin.calibration.two_stage.findings import (
     check_strobe_noise,
     check_two_stage,
     inseparable_sums,
-    unstated_considered,
+    unstated_considered_symbols,
 )
 from counterspin.campaign.accelerometers import Accelerometer
 from counterspin.campaign.description import Campaign
@@ -217,16 +217,16 @@ def two_stage_view(
     ]
     joint_model = _add_priors(problem.campaign, problem.model, name, known_values)
     # Time-stamp jitter adds uncertainty to the rotation.
-    rotation = encoder.considered_terms(
+    rotation_terms = encoder.considered_terms(
         [series for series in selected_series if series.corrected_fraction > 0.0]
     )
-    joint_model = replace(joint_model, considered=(*joint_model.considered, *rotation))
+    joint_model = replace(joint_model, considered=(*joint_model.considered, *rotation_terms))
     model = two_stage_model(joint_model, request, selected_series)
     second_stage = resolve(selected_series, parabolas, model, request)
     second_stage = apply_noise_uncertainty(second_stage, problem.noise[name], components)
     assessment = assess(second_stage.fit.solution, [unknown.name for unknown in model.unknowns])
     # A term is not determined if a requested term has the same effect.
-    unstated_symbols = unstated_considered(problem.campaign, name, second_stage)
+    unstated_symbols = unstated_considered_symbols(problem.campaign, name, second_stage)
     requested_symbols = [
         symbol for symbol in problem.campaign.model.terms if symbol in unstated_symbols
     ]
@@ -306,9 +306,9 @@ def _harmonic_scale_factor(all_series: Iterable[ResidualSeries]) -> Coefficient:
         )
     scale_column, error = np.concatenate(columns).T
     squared_norm = float(scale_column @ scale_column)
-    step = float(scale_column @ error) / squared_norm
-    u = float(np.std(error - step * scale_column)) / math.sqrt(squared_norm)
-    value = TERMS["K_I"].nominal + step
+    scale_change = float(scale_column @ error) / squared_norm
+    u = float(np.std(error - scale_change * scale_column)) / math.sqrt(squared_norm)
+    value = TERMS["K_I"].nominal + scale_change
     return Coefficient(value=value, u=u, unit=unit_of("K_I"), estimated=True)
 
 
@@ -387,7 +387,7 @@ def make_request(
         )
     stated_noise = campaign.noise
     if campaign.rest is not None:
-        stated_noise = load_name(STATIC_NOISE)(campaign)[accelerometer.name].sizes
+        stated_noise = load_name(STATIC_NOISE_FUNCTION)(campaign)[accelerometer.name].sizes
     if stated_noise is not None and stated_noise.wanders:
         key_list = ", ".join(f"noise.{key}" for key in BIAS_COMPONENTS_BY_KEY)
         raise NotIdentifiableError(
@@ -428,15 +428,15 @@ def make_request(
 
 def _displacement_noise(noise: StatedNoise | None) -> float | None:
     """Return the displacement noise of a sample, m; None if it is not stated."""
-    white = _stated_size(noise, "displacement")
+    white_noise = _stated_size(noise, "displacement")
     step = _stated_size(noise, "quantisation") or 0.0
-    return None if white is None else math.hypot(white, step / math.sqrt(12.0)) or None
+    return None if white_noise is None else math.hypot(white_noise, step / math.sqrt(12.0)) or None
 
 
 def _stated_size(noise: StatedNoise | None, component: str) -> float | None:
     """Return a component of the stated noise; None if it is not a number."""
-    size = getattr(noise, component, None)
-    return size if isinstance(size, float) else None
+    stated_size = getattr(noise, component, None)
+    return stated_size if isinstance(stated_size, float) else None
 
 
 def is_walk_stated(noises: Mapping[str, Noise]) -> bool:
