@@ -352,7 +352,7 @@ def test_last_date_label_is_not_clipped():
     line = PlotSeries("", (first, last), (1.0, 2.0), kind="points")
     with drawing_parameters(PAPER_COLOURS):
         figure = draw_pictures(
-            [Plot("", "date", "", (line,), is_date_axis=True)], PAPER_COLOURS, with_titles=True
+            [Plot("", "date", "", (line,), is_date_axis=True)], PAPER_COLOURS, show_titles=True
         )
         figure.canvas.draw()
     texts = [text for text in figure.findobj(Text) if text.get_text() == "2026-03"]
@@ -499,7 +499,7 @@ def test_bar_lengths_match_values_and_labels_fit():
 def test_stacked_bars_are_contiguous():
     bars = Bars("", ("first", "second"), (40.0, 10.0), ("a", "b"), stacked=True, colours=(0, 2))
     with drawing_parameters(PAPER_COLOURS):
-        figure = draw_pictures([bars], PAPER_COLOURS, with_titles=False)
+        figure = draw_pictures([bars], PAPER_COLOURS, show_titles=False)
     first, second = figure.axes[0].patches
     assert (first.get_x(), first.get_width()) == (0.0, 40.0)
     assert (second.get_x(), second.get_width()) == (40.0, 10.0)
@@ -532,7 +532,7 @@ def test_title_that_fits_is_not_shortened():
     bars = Bars(title, ("w" * 30,), (1.0,), ("1",))
     with drawing_parameters(PAPER_COLOURS):
         figure = draw_pictures(
-            [bars, replace(bars, title="short")], PAPER_COLOURS, with_titles=True
+            [bars, replace(bars, title="short")], PAPER_COLOURS, show_titles=True
         )
         figure.set_dpi(160)  # as PNG is written
         figure.canvas.draw()

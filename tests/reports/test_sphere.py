@@ -15,7 +15,7 @@ def markers(sphere):
     from matplotlib.colors import to_rgba
 
     with drawing_parameters(PAPER_COLOURS):
-        (axes,) = draw_pictures([sphere], PAPER_COLOURS, with_titles=False).axes
+        (axes,) = draw_pictures([sphere], PAPER_COLOURS, show_titles=False).axes
     lines = [line for line in axes.lines if line.get_marker() in ("o", "X")]
     places = np.array([[line.get_xdata()[0], line.get_ydata()[0]] for line in lines])
     return places, [to_rgba(line.get_markerfacecolor()) for line in lines], lines

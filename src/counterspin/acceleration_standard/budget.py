@@ -155,7 +155,7 @@ def _make_level(
     acceleration = float(applied_acceleration(values, rate))
     contributions = {name: abs(derivatives[name]) * u[name] for name in UNITS}
     combined_u = math.hypot(*contributions.values())
-    budget = [
+    budget_lines = [
         AppliedContribution(
             source=name,
             sensitivity=derivatives[name],
@@ -170,8 +170,8 @@ def _make_level(
         acceleration=acceleration,
         u=combined_u,
         u_relative=combined_u / abs(acceleration),
-        dominant=budget[0].source if combined_u else None,
-        budget=budget,
+        dominant=budget_lines[0].source if combined_u else None,
+        budget=budget_lines,
         monte_carlo=check,
     )
 

@@ -61,7 +61,7 @@ from counterspin.reports.numbers import (
 )
 from counterspin.reports.typography import typeset, typeset_block
 
-_METHOD: Final = (
+_METHOD_TEXT: Final = (
     "The acceleration is calculated from radius, rotation rate, alignment and gravity: a = R "
     "(1 + s c) w^2 cos(beta) cos(lambda) + g sin(lambda) + 2 w Omega R sin(L), with c = R w^2 "
     "and lambda = lambda_0 + d w^2 (IEEE Std 836, Annex B). The stated value is the mean over "
@@ -173,8 +173,8 @@ def _default_shares(result: AppliedAcceleration) -> dict[str, tuple[float, Appli
     for level in result.levels:
         for line in level.budget:
             source = result.source(line.source)
-            previous = largest_shares.get(source.symbol, (MIN_EVIDENCE_SHARE, level))
-            if source.origin == "default" and line.share >= previous[0]:
+            previous_entry = largest_shares.get(source.symbol, (MIN_EVIDENCE_SHARE, level))
+            if source.origin == "default" and line.share >= previous_entry[0]:
                 largest_shares[source.symbol] = line.share, level
     return largest_shares
 
@@ -272,12 +272,12 @@ def _build_document(
         certificate_text.REMARKS_HEADING,
     }
     sections = [
-        Statement(name, lines, norms, settings.language if name in laboratory_texts else "en")
-        for name, lines, norms in _certificate_statements(lab, result, stated_levels)
+        Statement(name, lines, standards, settings.language if name in laboratory_texts else "en")
+        for name, lines, standards in _certificate_statements(lab, result, stated_levels)
     ]
-    assets = files("counterspin.acceleration_standard") / "assets"
+    asset_folder = files("counterspin.acceleration_standard") / "assets"
     return render_extension(
-        (assets / "certificate.xml.jinja").read_text(encoding="utf-8"),
+        (asset_folder / "certificate.xml.jinja").read_text(encoding="utf-8"),
         lab=lab,
         settings=settings,
         issue=issue,
@@ -288,7 +288,7 @@ def _build_document(
         ],
         file=result.content,
         stated=stated_levels,
-        method=[_METHOD, *certificate_text.deviation_lines(settings)],
+        method=[_METHOD_TEXT, *certificate_text.deviation_lines(settings)],
         uncertainty=_uncertainty_lines(result),
         level_words=format_level,
         pages=pages,
@@ -314,7 +314,7 @@ def _page_blocks(
     yield Heading("Calibrated item")
     yield two_column_table(item_rows(lab))
     yield Heading("Method")
-    for line in (_METHOD, *certificate_text.deviation_lines(lab.certificate)):
+    for line in (_METHOD_TEXT, *certificate_text.deviation_lines(lab.certificate)):
         yield Paragraph(typeset(line))
     yield from equipment_blocks(lab.equipment)
     yield Heading("Results")

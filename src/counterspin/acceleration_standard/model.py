@@ -127,22 +127,22 @@ def draw_distributions(
         u_linear = math.sqrt(sum((derivatives[name] * u[name]) ** 2 for name in UNITS))
         half_width = expanded_uncertainty(u_linear, None, COVERAGE)
         tail_probability = 0.5 * (1.0 - COVERAGE)
-        interval_ends = np.array([-half_width, half_width])
+        endpoints = np.array([-half_width, half_width])
         if not distributions:
-            interval_ends = np.quantile(linear_errors, (tail_probability, 1.0 - tail_probability))
-        shifts = (
-            np.quantile(exact_errors, (tail_probability, 1.0 - tail_probability)) - interval_ends
+            endpoints = np.quantile(linear_errors, (tail_probability, 1.0 - tail_probability))
+        endpoint_shifts = (
+            np.quantile(exact_errors, (tail_probability, 1.0 - tail_probability)) - endpoints
         )
-        distance, tolerance = float(np.max(np.abs(shifts))), numerical_tolerance(u_linear)
+        max_shift, tolerance = float(np.max(np.abs(endpoint_shifts))), numerical_tolerance(u_linear)
         checks.append(
             MonteCarloCheck(
                 mean=estimate + float(np.mean(exact_errors)),
                 u=float(np.std(exact_errors, ddof=1)),
-                low=estimate - half_width + float(shifts[0]),
-                high=estimate + half_width + float(shifts[1]),
-                distance=distance,
+                low=estimate - half_width + float(endpoint_shifts[0]),
+                high=estimate + half_width + float(endpoint_shifts[1]),
+                distance=max_shift,
                 tolerance=tolerance,
-                validated=distance <= tolerance,
+                validated=max_shift <= tolerance,
             )
         )
     return checks

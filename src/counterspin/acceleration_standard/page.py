@@ -22,7 +22,7 @@ FILE_DESCRIPTION: Final = "a figure of applied acceleration"
 _ORIGIN_NAMES: Final = {"stated": "stated", "default": "default uncertainty", "assumed": "exact"}
 
 #: Unit of the latitude, and its conversion factor.
-_DEGREES: Final = ("deg", math.degrees(1.0))
+_DEGREE_UNIT: Final = ("deg", math.degrees(1.0))
 
 #: Smallest share of a variance of a source with a curve in the figure.
 _MIN_DRAWN_SHARE: Final = 0.01
@@ -46,10 +46,10 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
     yield _sources_table(result)
     default_sources = [source for source in result.applied_sources if source.origin == "default"]
     if default_sources:
-        symbols = ", ".join(source.symbol for source in default_sources)
+        symbol_list = ", ".join(source.symbol for source in default_sources)
         yield Paragraph(
             "The budgets contain the default standard uncertainty of each source without a stated "
-            f"uncertainty: {symbols}.",
+            f"uncertainty: {symbol_list}.",
             "warning",
         )
     yield Paragraph(
@@ -124,7 +124,7 @@ def validation_sentence(result: AppliedAcceleration) -> str:
 def _sources_table(result: AppliedAcceleration) -> Table:
     rows = []
     for source in result.applied_sources:
-        unit, factor = _DEGREES if source.name == "latitude" else find_display_unit(source.unit)
+        unit, factor = _DEGREE_UNIT if source.name == "latitude" else find_display_unit(source.unit)
         unit_text = "" if unit == "1" else unit
         rows.append(
             (
@@ -198,7 +198,7 @@ def relative_plot(result: AppliedAcceleration) -> Plot:
     """Return the relative standard uncertainty against the level, with its largest sources."""
     sorted_levels = sorted(result.levels, key=lambda level: level.level)
     levels = tuple(level.level for level in sorted_levels)
-    combined_us = tuple(level.u_relative for level in sorted_levels)
+    u_values = tuple(level.u_relative for level in sorted_levels)
     curves: dict[str, list[float | None]] = {}
     for index, level in enumerate(sorted_levels):
         for line in level.budget:
@@ -219,10 +219,10 @@ def relative_plot(result: AppliedAcceleration) -> Plot:
         x_label="level, g",
         y_label="u/a",
         series=(
-            PlotSeries("combined", levels, combined_us, colour=0),
-            PlotSeries("", levels, combined_us, kind="points", colour=0),
+            PlotSeries("combined", levels, u_values, colour=0),
+            PlotSeries("", levels, u_values, kind="points", colour=0),
             *lines,
         ),
         log_x=levels[-1] > levels[0],
-        log_y=min(combined_us) > 0.0,
+        log_y=min(u_values) > 0.0,
     )

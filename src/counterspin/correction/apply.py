@@ -16,7 +16,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.quantity import parse_quantity
 from counterspin.correction.instrument import (
-    HYSTERESIS,
+    HYSTERESIS_SYMBOL,
     add_unstated_terms,
     applicable_terms,
     determined_terms,
@@ -81,8 +81,8 @@ class Correction:
         max_u = float(np.nanmax(self.u)) if np.isfinite(self.u).any() else math.nan
         warning_text = f", {len(self.warnings)} warnings" if self.warnings else ""
         unit = self.unit
-        size = self.corrected.size
-        return f"<{size} corrected in {unit}, u at most {max_u:.2g} {unit}{warning_text}>"
+        n_samples = self.corrected.size
+        return f"<{n_samples} corrected in {unit}, u at most {max_u:.2g} {unit}{warning_text}>"
 
 
 @frozen(eq=False)
@@ -185,8 +185,8 @@ def apply(
         for name in indications
     ]
     judged_result = judge_result(result)
-    if (refusal := refusal_reason(judged_result, indications)) is not None:
-        raise RecordError(refusal, code="contradicted")
+    if (refusal_text := refusal_reason(judged_result, indications)) is not None:
+        raise RecordError(refusal_text, code="contradicted")
     _require_determined(judged_result, indications)
     mounting = instruments[0].mounting
     known_forces = [
@@ -318,24 +318,24 @@ def _column_scales(
 
 
 def _missing_input_warnings(name: str, symbols: Sequence[str]) -> Iterator[str]:
-    slopes = [symbol for symbol in symbols if symbol not in TERMS]
-    products = [symbol for symbol in symbols if symbol in TERMS]
-    for group, reason in (
+    slope_symbols = [symbol for symbol in symbols if symbol not in TERMS]
+    product_symbols = [symbol for symbol in symbols if symbol in TERMS]
+    for symbol_group, reason in (
         (
-            products,
+            product_symbols,
             "the specific force along the other axes is not given (`pendulous`, `output_axis`)",
         ),
         (
-            slopes,
+            slope_symbols,
             (
                 "the temperature is not given (`temperature`), or it differs from the "
                 "calibration temperature"
             ),
         ),
     ):
-        if group:
+        if symbol_group:
             yield (
-                f"{name}: {', '.join(group)} are not stated, and {reason}, so u does "
+                f"{name}: {', '.join(symbol_group)} are not stated, and {reason}, so u does "
                 "not include the uncertainty of these terms."
             )
 
@@ -347,7 +347,7 @@ def _unapplied_warnings(name: str, accelerometer: AccelerometerResult) -> list[s
         symbol
         for symbol, coefficient in coefficients.items()
         if condition_of(symbol)
-        and symbol != HYSTERESIS
+        and symbol != HYSTERESIS_SYMBOL
         and not is_applicable(symbol)
         and (coefficient.value or coefficient.u)
     ]
@@ -415,14 +415,14 @@ def _missing_force_errors(
 
 def _applied_note(name: str, accelerometer: AccelerometerResult) -> str:
     terms = determined_terms(accelerometer)
-    estimated_list = ", ".join(
+    estimated_text = ", ".join(
         symbol for symbol, coefficient in terms.items() if coefficient.estimated
     )
-    prior_list = ", ".join(
+    prior_text = ", ".join(
         symbol for symbol, coefficient in terms.items() if not coefficient.estimated
     )
-    clauses = [f"as estimated: {estimated_list}"] if estimated_list else []
-    clauses += [f"from priors: {prior_list}"] if prior_list else []
+    clauses = [f"as estimated: {estimated_text}"] if estimated_text else []
+    clauses += [f"from priors: {prior_text}"] if prior_text else []
     return f"{name}: coefficients applied {'; '.join(clauses) or 'none'}."
 
 

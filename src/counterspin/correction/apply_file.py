@@ -277,11 +277,11 @@ def _summarise(output: Path, column: str, correction: Correction, gravity: float
         raise RecordError(
             f"{output} was not written: no row has all required numbers.", code="no-rows"
         )
-    values, corrected = indicated[valid_rows], correction.corrected[valid_rows]
+    values, corrected_values = indicated[valid_rows], correction.corrected[valid_rows]
     one_g = 1.0 / unit_factor(correction.unit, "g", gravity=gravity)
 
     def make_row(index: int) -> CorrectedRow:
-        change = float(corrected[index] - values[index])
+        change = float(corrected_values[index] - values[index])
         return CorrectedRow(float(values[index]), change, float(correction.u[valid_rows[index]]))
 
     return CorrectedFile(
@@ -291,7 +291,7 @@ def _summarise(output: Path, column: str, correction: Correction, gravity: float
         missing=indicated.size - valid_rows.size,
         low=float(values.min()),
         high=float(values.max()),
-        most=make_row(int(np.argmax(np.abs(corrected - values)))),
+        most=make_row(int(np.argmax(np.abs(corrected_values - values)))),
         at_one_g=make_row(int(np.argmin(np.abs(np.abs(values) - one_g)))),
         at_largest=make_row(int(np.argmax(np.abs(values)))),
         correction=correction,
@@ -316,8 +316,8 @@ def _parse_column(column: pl.Series, decimal: str) -> pl.Series:
     """Return a text column as numbers if all its cells are numbers."""
     if column.dtype != pl.String:
         return column
-    cleaned = column.str.strip_chars().replace("", None)
+    stripped_column = column.str.strip_chars().replace("", None)
     if decimal == ",":
-        cleaned = cleaned.str.replace(",", ".", literal=True)
-    numbers = cleaned.cast(pl.Float64, strict=False)
-    return numbers if numbers.null_count() == cleaned.null_count() else column
+        stripped_column = stripped_column.str.replace(",", ".", literal=True)
+    numbers = stripped_column.cast(pl.Float64, strict=False)
+    return numbers if numbers.null_count() == stripped_column.null_count() else column

@@ -35,15 +35,15 @@ from counterspin.physics.terms import TABLE, TERMS
 Normalisation = Literal["none", "ieee"]
 Form = Literal["coefficients", "psins", "kalibr", "ros"]
 
-_HEADER: Final = ("accelerometer", "coefficient", "value", "u", "unit", "dof", "origin")
+_COLUMN_NAMES: Final = ("accelerometer", "coefficient", "value", "u", "unit", "dof", "origin")
 
-_DESCRIPTION: Final = "an export of a result"
+_FILE_DESCRIPTION: Final = "an export of a result"
 
 _FILE_TYPE: Final = FileType(
-    f"{_DESCRIPTION} written by counterspin",
+    f"{_FILE_DESCRIPTION} written by counterspin",
     lambda path: (
-        marked_file_type(_DESCRIPTION).recognises(path)
-        or contains_bytes(",".join(_HEADER).encode())(path)
+        marked_file_type(_FILE_DESCRIPTION).recognises(path)
+        or contains_bytes(",".join(_COLUMN_NAMES).encode())(path)
     ),
 )
 
@@ -227,8 +227,8 @@ def normalise(table: CoefficientTable, result: Result) -> CoefficientTable:
         0.0 if dof is None else variance**2 / dof
         for variance, dof in zip(np.diag(table.covariance), table.dof, strict=True)
     ]
-    product = jacobian @ table.covariance @ jacobian.T
-    covariance = 0.5 * (product + product.T)
+    product_covariance = jacobian @ table.covariance @ jacobian.T
+    covariance = 0.5 * (product_covariance + product_covariance.T)
     u4_sums = jacobian**4 @ np.array(u4_per_dof)
     return replace(
         table,
@@ -254,7 +254,7 @@ def _csv_content(table: CoefficientTable, _: Result) -> bytes:
 
     columns: dict[str, list[Any]] = {
         name: list(column)
-        for name, column in zip(_HEADER, zip(*table.rows(), strict=True), strict=True)
+        for name, column in zip(_COLUMN_NAMES, zip(*table.rows(), strict=True), strict=True)
     }
     covariance = zip(table.names, table.covariance.tolist(), strict=True)
     return (
@@ -267,7 +267,7 @@ def _csv_content(table: CoefficientTable, _: Result) -> bytes:
 def _xlsx_content(table: CoefficientTable, result: Result) -> bytes:
     names = table.names
     sheets: dict[str, list[Sequence[Cell]]] = {
-        "coefficients": [_HEADER, *table.rows()],
+        "coefficients": [_COLUMN_NAMES, *table.rows()],
         "covariance": [
             ("", *names),
             *((name, *row) for name, row in zip(names, table.covariance.tolist(), strict=True)),
@@ -280,13 +280,13 @@ def _xlsx_content(table: CoefficientTable, result: Result) -> bytes:
         sheets["triad"] = [("accelerometer", "bias", *(f"matrix {name}" for name in names))]
         for name, bias, row in zip(names, triad.bias, triad.matrix, strict=True):
             sheets["triad"].append((name, bias, *row))
-    return make_workbook(sheets, file_mark(_DESCRIPTION))
+    return make_workbook(sheets, file_mark(_FILE_DESCRIPTION))
 
 
 def _mat_content(table: CoefficientTable, result: Result) -> bytes:
     """Return a MAT file with a structure; columns of text are cell arrays."""
     rows = [np.array(column, dtype=object)[:, None] for column in zip(*table.rows(), strict=True)]
-    structure: dict[str, Any] = dict(zip(_HEADER, rows, strict=True))
+    structure: dict[str, Any] = dict(zip(_COLUMN_NAMES, rows, strict=True))
     structure |= {
         name: np.array(
             [np.inf if value is None else value for value in structure[name][:, 0]], float
@@ -309,7 +309,7 @@ def _mat_file_content(variables: dict[str, Any]) -> bytes:
     from scipy.io import savemat
 
     stream = io.BytesIO()
-    savemat(stream, variables | {"written_by": file_mark(_DESCRIPTION)})
+    savemat(stream, variables | {"written_by": file_mark(_FILE_DESCRIPTION)})
     # The header contains the time of writing.
     return b"MATLAB 5.0 MAT-file".ljust(116) + stream.getvalue()[116:]
 
@@ -359,7 +359,7 @@ def _triad_content(
     if form == "psins":
         return _mat_file_content({"clbt": {"Ka": matrix, "db": offset[:, None]}})
     lines = [
-        f"# {file_mark(_DESCRIPTION)}",
+        f"# {file_mark(_FILE_DESCRIPTION)}",
         f"# accelerometers: {json.dumps(triad.accelerometers)}",
     ]
     if form == "ros":
@@ -384,5 +384,5 @@ def _format_yaml(value: Any) -> str:
     """Return numbers as YAML 1.1, in which a number with an exponent has a decimal point."""
     if isinstance(value, list):
         return f"[{', '.join(map(_format_yaml, value))}]"
-    mantissa, exponent, power = repr(float(value)).partition("e")
-    return f"{mantissa}{'' if '.' in mantissa else '.0'}{exponent}{power}"
+    mantissa, exponent_mark, exponent = repr(float(value)).partition("e")
+    return f"{mantissa}{'' if '.' in mantissa else '.0'}{exponent_mark}{exponent}"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _DEFAULT_MOUNTING: Final = Mounting.from_axes("east", "north")
 
 #: Bias at rising minus falling temperature, of unknown sign when a result is applied.
-HYSTERESIS: Final = "K_F.hysteresis"
+HYSTERESIS_SYMBOL: Final = "K_F.hysteresis"
 
 #: Relative tolerance of variances in the test of a covariance, for rounding errors.
 _VARIANCE_TOLERANCE: Final = 1e-6
@@ -49,7 +49,7 @@ def add_unstated_terms(
         name, _, symbol = row.name.partition(".")
         if row.kind != "unstated" or name not in accelerometers:
             continue
-        if not (is_applicable(symbol) or symbol == HYSTERESIS):
+        if not (is_applicable(symbol) or symbol == HYSTERESIS_SYMBOL):
             continue
         needed_factors = {*product_of_symbol(symbol).factors}
         needed_factors |= {"temperature"} & {condition_of(symbol)}
@@ -128,7 +128,7 @@ def make_instrument(
             code="not-determined",
         )
     covariance = term_covariance(accelerometer, terms)
-    hysteresis = {**accelerometer.known, **accelerometer.coefficients}.get(HYSTERESIS)
+    hysteresis = {**accelerometer.known, **accelerometer.coefficients}.get(HYSTERESIS_SYMBOL)
     if hysteresis is not None and "K_F" in values:
         # The bias differs by half of the hysteresis, with an unknown sign.
         index = list(values).index("K_F")

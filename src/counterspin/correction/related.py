@@ -37,7 +37,7 @@ def temperature_offset(
     reference = result.inputs.reference_temperature
     if reference is not None and value is not None:
         return TemperatureOffset(value - reference, u)
-    if dependences := list(_temperature_dependences(instruments)):
+    if dependence_texts := list(_temperature_dependences(instruments)):
         remedy = (
             'give `temperature`: a column, or a constant such as `temperature="23 ± 1 degC"`'
             if reference is not None
@@ -45,7 +45,7 @@ def temperature_offset(
         )
         raise CampaignError(
             "apply",
-            [f"{', '.join(dependences)} with the temperature of the record; {remedy}"],
+            [f"{', '.join(dependence_texts)} with the temperature of the record; {remedy}"],
             code="missing-input",
         )
     return TemperatureOffset()

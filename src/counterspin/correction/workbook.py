@@ -25,17 +25,17 @@ def make_workbook(sheets: Mapping[str, Sequence[Sequence[Cell]]], remark: str) -
     sheets: Rows of cells by name of the sheet.
     remark: Comment of the archive.
     """
-    numbers = range(1, len(sheets) + 1)
+    sheet_numbers = range(1, len(sheets) + 1)
     overrides_xml = "".join(
         f'<Override PartName="/xl/worksheets/sheet{n}.xml" '
         f'ContentType="{_MIME_TYPE}.worksheet+xml"/>'
-        for n in numbers
+        for n in sheet_numbers
     )
     sheets_xml = "".join(
         f'<sheet name={quoteattr(name)} sheetId="{n}" r:id="r{n}"/>'
-        for n, name in zip(numbers, sheets, strict=True)
+        for n, name in zip(sheet_numbers, sheets, strict=True)
     )
-    documents = {
+    xml_by_path = {
         "[Content_Types].xml": f'<Types xmlns="{_PACKAGE_NS}/content-types">'
         '<Default Extension="rels" '
         'ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
@@ -45,17 +45,17 @@ def make_workbook(sheets: Mapping[str, Sequence[Sequence[Cell]]], remark: str) -
         "xl/workbook.xml": f'<workbook xmlns="{_MAIN_NS}" xmlns:r="{_RELATIONS_NS}">'
         f"<sheets>{sheets_xml}</sheets></workbook>",
         "xl/_rels/workbook.xml.rels": _relationships_xml(
-            {f"r{n}": ("worksheet", f"worksheets/sheet{n}.xml") for n in numbers}
+            {f"r{n}": ("worksheet", f"worksheets/sheet{n}.xml") for n in sheet_numbers}
         ),
     }
-    for n, rows in zip(numbers, sheets.values(), strict=True):
+    for n, rows in zip(sheet_numbers, sheets.values(), strict=True):
         rows_xml = "".join(f"<row>{''.join(map(_cell_xml, row))}</row>" for row in rows)
-        documents[f"xl/worksheets/sheet{n}.xml"] = (
+        xml_by_path[f"xl/worksheets/sheet{n}.xml"] = (
             f'<worksheet xmlns="{_MAIN_NS}"><sheetData>{rows_xml}</sheetData></worksheet>'
         )
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in documents.items():
+        for name, text in xml_by_path.items():
             document = f'<?xml version="1.0" encoding="UTF-8" standalone="yes"?>\n{text}'
             archive.writestr(zipfile.ZipInfo(name, _ARCHIVE_DATE), document)
         archive.comment = remark.encode()
@@ -63,11 +63,11 @@ def make_workbook(sheets: Mapping[str, Sequence[Sequence[Cell]]], remark: str) -
 
 
 def _relationships_xml(targets: Mapping[str, tuple[str, str]]) -> str:
-    elements = "".join(
+    elements_xml = "".join(
         f'<Relationship Id="{key}" Type="{_RELATIONS_NS}/{relation_type}" Target="{target}"/>'
         for key, (relation_type, target) in targets.items()
     )
-    return f'<Relationships xmlns="{_PACKAGE_NS}/relationships">{elements}</Relationships>'
+    return f'<Relationships xmlns="{_PACKAGE_NS}/relationships">{elements_xml}</Relationships>'
 
 
 def _cell_xml(value: Cell) -> str:

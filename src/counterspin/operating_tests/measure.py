@@ -93,10 +93,10 @@ def operating(
             noise = math.sqrt(float(residuals @ residuals) / dof), dof, False
     except ValueError as error:
         raise CampaignError(path.name, [str(error)], code="not-evaluable") from error
-    kept_rows = np.unique(
+    plotted_rows = np.unique(
         np.linspace(0, x_values.size - 1, min(x_values.size, _MAX_FIGURE_ROWS)).astype(int)
     )
-    kept_x_values = x_values[kept_rows].tolist()
+    plotted_x = x_values[plotted_rows].tolist()
     return OperatingTests(
         file=path.name,
         sha256=digest,
@@ -108,9 +108,9 @@ def operating(
         noise_dof=noise[1],
         noise_from_repeats=noise[2],
         quantities=quantities,
-        time=[] if input is not None else kept_x_values,
-        inputs=kept_x_values if input is not None else [],
-        outputs=outputs[kept_rows].tolist(),
+        time=[] if input is not None else plotted_x,
+        inputs=plotted_x if input is not None else [],
+        outputs=outputs[plotted_rows].tolist(),
     )
 
 
@@ -167,7 +167,7 @@ def _static_quantities(
         ),
         (
             "threshold",
-            lambda: model.smallest_step(line, inputs, outputs, from_zero=True),
+            lambda: model.smallest_step(line, inputs, outputs, is_from_zero=True),
             (
                 "smallest step from zero input that changes the output by at least 50 % of the "
                 "expected change"
@@ -176,7 +176,7 @@ def _static_quantities(
         ),
         (
             "resolution",
-            lambda: model.smallest_step(line, inputs, outputs, from_zero=False),
+            lambda: model.smallest_step(line, inputs, outputs, is_from_zero=False),
             (
                 "smallest input step, starting above the threshold, that changes the output by at "
                 "least 50 % of the expected change"
@@ -194,8 +194,8 @@ def _static_quantities(
             "the zero input, or an input outside the dead band on each side, is missing",
         ),
     )
-    for name, test, definition, missing_reason in tests:
-        estimate = test()
+    for name, run_test, definition, missing_reason in tests:
+        estimate = run_test()
         yield _make_quantity(
             name,
             estimate,
@@ -213,10 +213,10 @@ def _warm_up_quantities(warm_up: model.WarmUp, output_unit: str) -> Iterator[Ope
     yield _make_quantity(
         "change", warm_up.change, output_unit, "output at switch-on minus final output"
     )
-    change_size, u = abs(warm_up.change.value), warm_up.final.u or 0.0
-    if change_size > u > 0.0:
+    abs_change, u = abs(warm_up.change.value), warm_up.final.u or 0.0
+    if abs_change > u > 0.0:
         tau = warm_up.time_constant
-        factor = math.log(change_size / u)
+        factor = math.log(abs_change / u)
         time = OperatingEstimate(tau.value * factor, (tau.u or 0.0) * factor)
         note = "time until the remaining change is less than u of the final output"
         yield _make_quantity("warm-up-time", time, "s", note)

@@ -12,7 +12,7 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 
 #: Ratio of observed to expected change from which a step is visible (IEEE Std 528).
-THRESHOLD_RATIO: Final = 0.5
+MIN_VISIBLE_RATIO: Final = 0.5
 
 #: Ratio of observed to expected change below which an input is in the dead band.
 DEAD_BAND_RATIO: Final = 0.1
@@ -126,11 +126,11 @@ def hysteresis_error(line: Line, inputs: Array, outputs: Array) -> OperatingEsti
 
     In input units, upwards minus downwards. None: no input was approached from both directions.
     """
-    settings, direction = group_inputs(inputs), input_directions(inputs)
+    settings, directions = group_inputs(inputs), input_directions(inputs)
     setting_count = int(settings.max()) + 1
     up_counts, down_counts = (
         np.bincount(settings[mask], minlength=setting_count)
-        for mask in (direction > 0, direction < 0)
+        for mask in (directions > 0, directions < 0)
     )
     common_settings = np.flatnonzero((up_counts > 0) & (down_counts > 0))
     if not common_settings.size:
@@ -138,22 +138,22 @@ def hysteresis_error(line: Line, inputs: Array, outputs: Array) -> OperatingEsti
     up_mean, down_mean = (
         np.bincount(settings[mask], outputs[mask], minlength=setting_count)[common_settings]
         / counts[common_settings]
-        for mask, counts in ((direction > 0, up_counts), (direction < 0, down_counts))
+        for mask, counts in ((directions > 0, up_counts), (directions < 0, down_counts))
     )
     differences = (up_mean - down_mean) / line.slope
-    worst = int(np.argmax(np.abs(differences)))
-    setting = common_settings[worst]
+    worst_index = int(np.argmax(np.abs(differences)))
+    setting = common_settings[worst_index]
     u = (
         line.noise
         * math.sqrt(1.0 / up_counts[setting] + 1.0 / down_counts[setting])
         / abs(line.slope)
     )
     worst_input = float(inputs[np.argmax(settings == setting)])
-    return OperatingEstimate(float(differences[worst]), u, worst_input)
+    return OperatingEstimate(float(differences[worst_index]), u, worst_input)
 
 
 def smallest_step(
-    line: Line, inputs: Array, outputs: Array, *, from_zero: bool
+    line: Line, inputs: Array, outputs: Array, *, is_from_zero: bool
 ) -> OperatingEstimate | None:
     """Return the smallest visible step of the input: threshold or resolution.
 
@@ -161,25 +161,25 @@ def smallest_step(
     larger steps. The limit lies between this step and the next smaller tested step. The estimate is
     their mean, with the uncertainty of a rectangular distribution.
 
-    from_zero: True: steps from zero input (threshold); false: from inputs larger than the step.
+    is_from_zero: True: steps from zero input (threshold); false: from inputs larger than the step.
     """
     steps, starts = np.diff(inputs), np.abs(inputs[:-1])
     tolerance = _INPUT_TOLERANCE * float(np.max(np.abs(inputs), initial=0.0))
-    is_valid_start = starts <= tolerance if from_zero else starts > np.abs(steps) + tolerance
+    is_valid_start = starts <= tolerance if is_from_zero else starts > np.abs(steps) + tolerance
     is_tested = is_valid_start & (steps != 0.0)
-    sizes = np.abs(steps[is_tested])
-    if not sizes.size:
+    step_sizes = np.abs(steps[is_tested])
+    if not step_sizes.size:
         return None
-    is_visible = np.diff(outputs)[is_tested] / (line.slope * steps[is_tested]) >= THRESHOLD_RATIO
-    order = np.argsort(sizes, kind="stable")
-    sizes, is_visible = sizes[order], is_visible[order]
+    is_visible = np.diff(outputs)[is_tested] / (line.slope * steps[is_tested]) >= MIN_VISIBLE_RATIO
+    order = np.argsort(step_sizes, kind="stable")
+    step_sizes, is_visible = step_sizes[order], is_visible[order]
     hidden_indices = np.flatnonzero(~is_visible)
-    if hidden_indices.size and hidden_indices[-1] == sizes.size - 1:
+    if hidden_indices.size and hidden_indices[-1] == step_sizes.size - 1:
         return None
-    max_hidden = float(sizes[hidden_indices[-1]]) if hidden_indices.size else 0.0
-    min_visible = float(sizes[sizes > max_hidden][0])
-    midpoint = 0.5 * (max_hidden + min_visible)
-    return OperatingEstimate(midpoint, (min_visible - max_hidden) / _SQRT_12)
+    max_hidden_step = float(step_sizes[hidden_indices[-1]]) if hidden_indices.size else 0.0
+    min_visible_step = float(step_sizes[step_sizes > max_hidden_step][0])
+    midpoint = 0.5 * (max_hidden_step + min_visible_step)
+    return OperatingEstimate(midpoint, (min_visible_step - max_hidden_step) / _SQRT_12)
 
 
 def dead_band(line: Line, inputs: Array, outputs: Array) -> OperatingEstimate | None:
@@ -192,13 +192,13 @@ def dead_band(line: Line, inputs: Array, outputs: Array) -> OperatingEstimate | 
     is_zero = np.abs(inputs) <= _INPUT_TOLERANCE * max_magnitude
     if not is_zero.any():
         return None
-    changes = (outputs - outputs[is_zero].mean()) / line.slope
+    indicated_inputs = (outputs - outputs[is_zero].mean()) / line.slope
     limits, variance = [], 0.0
     for sign in (-1.0, 1.0):
         mask = sign * inputs > _INPUT_TOLERANCE * max_magnitude
         order = np.argsort(sign * inputs[mask], kind="stable")
         side_inputs = (sign * inputs[mask])[order]
-        is_visible = (sign * changes[mask])[order] >= DEAD_BAND_RATIO * side_inputs
+        is_visible = (sign * indicated_inputs[mask])[order] >= DEAD_BAND_RATIO * side_inputs
         hidden_indices = np.flatnonzero(~is_visible)
         if not is_visible.size or (
             hidden_indices.size and hidden_indices[-1] == is_visible.size - 1
@@ -236,8 +236,8 @@ def fit_warm_up(time: Array, outputs: Array) -> WarmUp:
         raise ValueError("the output does not change, so no warm-up can be determined")
     duration = float(time[-1] - time[0])
 
-    def exponential(t: Array, final: float, change: float, rate: float) -> Array:
-        return np.asarray(final + change * np.exp(-(t - time[0]) * rate / duration))
+    def exponential(t: Array, final_output: float, change: float, rate: float) -> Array:
+        return np.asarray(final_output + change * np.exp(-(t - time[0]) * rate / duration))
 
     initial_guess = (float(outputs[-1]), float(outputs[0] - outputs[-1]), 4.0)
     try:

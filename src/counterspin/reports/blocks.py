@@ -33,15 +33,15 @@ class _TextBlock:
         """Escape the control characters of all texts."""
         for name, value in self.__dict__.items():
             if isinstance(value, str) or (value and isinstance(value, tuple)):
-                self.__dict__[name] = _escape_all(value)
+                self.__dict__[name] = _escape_strings(value)
 
 
-def _escape_all(value: Any) -> Any:
+def _escape_strings(value: Any) -> Any:
     match value:
         case str():
             return escape_controls(value)
         case tuple() if value and isinstance(value[0], str | tuple):
-            return tuple(map(_escape_all, value))
+            return tuple(map(_escape_strings, value))
     return value
 
 
@@ -229,17 +229,17 @@ def expand_cards(blocks: Iterable[Block]) -> Iterator[Heading | Paragraph | Tabl
 
 def remove_pictures(blocks: Iterable[Block]) -> list[TextBlock]:
     """Return the blocks except pictures, without headings of sections with pictures only."""
-    blocks_kept: list[TextBlock] = []
+    kept_blocks: list[TextBlock] = []
     follows_picture = False
     for block in [*expand_cards(blocks), None]:
         if isinstance(block, Picture):
             follows_picture = True
             continue
-        while follows_picture and blocks_kept and isinstance(heading := blocks_kept[-1], Heading):
+        while follows_picture and kept_blocks and isinstance(heading := kept_blocks[-1], Heading):
             if isinstance(block, Heading) and block.level > heading.level:
                 break
-            blocks_kept.pop()
+            kept_blocks.pop()
         follows_picture = False
         if block is not None:
-            blocks_kept.append(block)
-    return blocks_kept
+            kept_blocks.append(block)
+    return kept_blocks

@@ -221,10 +221,10 @@ def _labels_overlap(axes: Any, labels: Sequence[str], width: float) -> bool:
     """Return whether labels would overlap."""
     low, high = axes.get_xlim()
     distances = np.diff(axes.get_xticks()) * width / (high - low)
-    pairs = itertools.pairwise(map(text_width, labels))
+    width_pairs = itertools.pairwise(map(text_width, labels))
     return any(
-        0.5 * (left + right) + 6.0 > distance
-        for (left, right), distance in zip(pairs, distances, strict=True)
+        0.5 * (left_width + right_width) + 6.0 > distance
+        for (left_width, right_width), distance in zip(width_pairs, distances, strict=True)
     )
 
 
@@ -270,14 +270,16 @@ def _find_extremes(x: Array, y: Array, series_type: str) -> NDArray[np.intp]:
         (x - x.min()) / span * _THINNING_COLUMNS, _THINNING_COLUMNS - 1
     ).astype(int)
     is_gap = ~np.isfinite(y)
-    finite = np.flatnonzero(~is_gap)
-    order = finite[np.lexsort((y[finite], column_index[finite]))]
+    finite_indices = np.flatnonzero(~is_gap)
+    order = finite_indices[np.lexsort((y[finite_indices], column_index[finite_indices]))]
     column_starts = np.flatnonzero(np.diff(column_index[order], prepend=-1))
     column_ends = np.append(column_starts[1:], order.size) - 1
     # Keep the first sample of a gap.
     gap_starts = np.flatnonzero(is_gap & ~np.concatenate([[False], is_gap[:-1]]))
     extra = (
-        finite[:: max(finite.size // _EXTRA_POINTS, 1)] if series_type == "points" else finite[:0]
+        finite_indices[:: max(finite_indices.size // _EXTRA_POINTS, 1)]
+        if series_type == "points"
+        else finite_indices[:0]
     )
     return np.unique(np.concatenate([order[column_starts], order[column_ends], extra, gap_starts]))
 
@@ -290,8 +292,8 @@ def integer_positions(plot: Plot) -> range:
     positions = {x for series in plot.series for x in series.x}
     if not positions or plot.log_x or any(series.kind != "points" for series in plot.series):
         return range(0)
-    is_whole = all(float(position).is_integer() for position in positions)
-    if not is_whole or max(positions) - min(positions) > 20.0:
+    has_integers_only = all(float(position).is_integer() for position in positions)
+    if not has_integers_only or max(positions) - min(positions) > 20.0:
         return range(0)
     return range(int(min(positions)), int(max(positions)) + 1)
 
@@ -304,8 +306,8 @@ def spread_points(series: Sequence[PlotSeries]) -> list[PlotSeries]:
         step * (index - 0.5 * (len(point_series) - 1)) for index in range(len(point_series))
     )
     return [
-        replace(row, x=tuple(x + move for x in row.x))
-        if row.kind == "points" and (move := next(shifts))
+        replace(row, x=tuple(x + shift for x in row.x))
+        if row.kind == "points" and (shift := next(shifts))
         else row
         for row in series
     ]
@@ -317,11 +319,11 @@ def draw_dots(axes: Any, x: Array, y: Array, diameter: float, **style: Any) -> N
     x, y: Shape (n,).
     **style: Properties of matplotlib's lines.
     """
-    gaps = np.full(x.size, np.nan)
+    nan_values = np.full(x.size, np.nan)
     # A line of zero length from each point to itself: its round caps make the dot.
     axes.plot(
-        np.column_stack([x, x, gaps]).ravel(),
-        np.column_stack([y, y, gaps]).ravel(),
+        np.column_stack([x, x, nan_values]).ravel(),
+        np.column_stack([y, y, nan_values]).ravel(),
         linewidth=diameter,
         solid_capstyle="round",
         **style,

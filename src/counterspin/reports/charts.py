@@ -100,7 +100,7 @@ def save_figure(
     metadata = {**_METADATA[suffix], _REMARK_KEYS[suffix]: file_mark(document_type)}
     typeset_pictures = [cast("Picture", typeset_block(picture)) for picture in pictures]
     with drawing_parameters(PAPER_COLOURS):
-        figure = draw_pictures(typeset_pictures, PAPER_COLOURS, with_titles=True)
+        figure = draw_pictures(typeset_pictures, PAPER_COLOURS, show_titles=True)
         write_atomically(
             path,
             lambda partial_file: figure.savefig(
@@ -117,7 +117,7 @@ def render_svg(picture: Picture, *, theme: SvgTheme = "light") -> str:
         # Reduce the height for printed pages.
         picture = replace(picture, height=_PAPER_HEIGHT_RATIO * picture.height)
     with drawing_parameters(_PLACEHOLDERS):
-        figure = draw_pictures([picture], _PLACEHOLDERS, with_titles=False)
+        figure = draw_pictures([picture], _PLACEHOLDERS, show_titles=False)
         stream = io.StringIO()
         figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
     return _clean_svg(stream.getvalue(), picture, theme)
@@ -150,13 +150,13 @@ def _clean_svg(text: str, picture: Picture, theme: SvgTheme) -> str:
     text = re.sub(r"<[^>]+>", clean_tag, text)
     text = re.sub(r"\n *<g>\n *</g>", "", text)
     text = re.sub(r"(<text [^>]*>)([^<]*)(?=</text>)", _set_svg_indices, text)
-    head, _, body = text.partition(">")
-    view_box = re.search(r'viewBox="[^"]*"', head)
+    svg_tag, _, body = text.partition(">")
+    view_box = re.search(r'viewBox="[^"]*"', svg_tag)
     assert view_box is not None
-    font = f' font-family="{_PAPER_FONT}"' if theme == "light" else ""
+    font_attribute = f' font-family="{_PAPER_FONT}"' if theme == "light" else ""
     return (
         '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-        f'width="100%" {view_box[0]} role="img" stroke-linejoin="round"{font}>\n'
+        f'width="100%" {view_box[0]} role="img" stroke-linejoin="round"{font_attribute}>\n'
         f" <title>{escape(picture.title, quote=False)}</title>{body}"
     )
 
@@ -191,13 +191,13 @@ def is_zoomable(plot: Plot) -> bool:
 
 def plot_json(plot: Plot) -> str:
     """Return a plot as JSON for a page's script element."""
-    series_data = []
+    series_documents = []
     for series, colour in zip(plot.series, _series_colours(plot), strict=True):
         low, high = (
             None if limits is None else _quantise(limits, plot.log_y)
             for limits in (series.low, series.high)
         )
-        series_data.append(
+        series_documents.append(
             {
                 "label": series.label,
                 "kind": series.kind,
@@ -215,7 +215,7 @@ def plot_json(plot: Plot) -> str:
         "log_x": plot.log_x,
         "log_y": plot.log_y,
         "levels": plot.levels,
-        "series": series_data,
+        "series": series_documents,
     }
     text = json.dumps(document, separators=(",", ":"), allow_nan=False)
     # Escape </script> and <!--, which JSON allows.
@@ -233,14 +233,14 @@ def _series_colours(plot: Plot) -> Iterator[str]:
 
 def _quantise(values: Sequence[float | None], is_logarithmic: bool) -> dict[str, Any]:
     """Return an array quantised to integers, which takes a third of the characters."""
-    finite = [value for value in values if value is not None and math.isfinite(value)]
+    finite_values = [value for value in values if value is not None and math.isfinite(value)]
     if is_logarithmic:
         return {
             "step": 1,
             "values": [_round_finite(value, _round_significant) for value in values],
         }
-    value_range = max(finite, default=0.0) - min(finite, default=0.0)
-    value_range = value_range or max(map(abs, finite), default=0.0) or 1.0
+    value_range = max(finite_values, default=0.0) - min(finite_values, default=0.0)
+    value_range = value_range or max(map(abs, finite_values), default=0.0) or 1.0
     step = 10.0 ** math.floor(math.log10(value_range / _MIN_QUANTISATION_STEPS))
     return {
         "step": step,
@@ -248,8 +248,8 @@ def _quantise(values: Sequence[float | None], is_logarithmic: bool) -> dict[str,
     }
 
 
-def _round_significant(number: float) -> float:
-    return float(f"{number:.4g}")
+def _round_significant(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def _round_finite(value: float | None, round_value: Callable[[float], float]) -> float | None:

@@ -71,13 +71,13 @@ def _import_matplotlib() -> ModuleType:
     make it run LaTeX, block on a pipe, or fail. PYTHONSAFEPATH marks the folder as untrusted; the
     command line sets it for itself and its child processes.
     """
-    original_exists = os.path.exists
+    path_exists = os.path.exists
     if os.environ.get("PYTHONSAFEPATH"):
-        os.path.exists = lambda path: path != "matplotlibrc" and original_exists(path)
+        os.path.exists = lambda path: path != "matplotlibrc" and path_exists(path)
     try:
         import matplotlib as mpl
     finally:
-        os.path.exists = original_exists
+        os.path.exists = path_exists
     return mpl
 
 
@@ -136,11 +136,11 @@ def drawing_parameters(palette: ColourPalette) -> Iterator[None]:
 
 
 def draw_pictures(
-    pictures: Sequence[Picture], palette: ColourPalette, *, with_titles: bool
+    pictures: Sequence[Picture], palette: ColourPalette, *, show_titles: bool
 ) -> Figure:
     """Draw stacked pictures, within `drawing_parameters`.
 
-    with_titles: True to draw each title above its picture, if nothing else shows it.
+    show_titles: True to draw each title above its picture, if nothing else shows it.
     """
     from matplotlib.figure import Figure
 
@@ -148,7 +148,7 @@ def draw_pictures(
     panels = []
     for picture, next_picture in zip_longest(pictures, pictures[1:]):
         axes = figure.add_subplot()
-        title = picture.title if with_titles else ""
+        title = picture.title if show_titles else ""
         panels.append((axes, _draw_picture(axes, picture, palette, title, next_picture)))
     arrange_axes(figure, panels)
     return figure
@@ -177,8 +177,8 @@ def _draw_picture(
 def _draw_plot(
     axes: Any, plot: Plot, palette: ColourPalette, title: str, next_picture: Picture | None
 ) -> Margins:
-    integers = integer_positions(plot)
-    drawn_series = spread_points(plot.series) if integers or plot.x_names else plot.series
+    integer_ticks = integer_positions(plot)
+    drawn_series = spread_points(plot.series) if integer_ticks or plot.x_names else plot.series
     for series, colour_index in zip(drawn_series, colour_indices(plot.series), strict=True):
         colour, marker = palette["muted"], MARKERS[0]
         if series.is_highlighted:
@@ -197,9 +197,9 @@ def _draw_plot(
             axes.set(**{f"{name}scale": "log"})
             set_decade_ticks(axis)
     axes.margins(x=0.06 if plot.x_names else 0.015, y=0.06)
-    if integers:
-        axes.set_xlim(integers[0] - 0.6, integers[-1] + 0.6)
-        axes.set_xticks(integers)
+    if integer_ticks:
+        axes.set_xlim(integer_ticks[0] - 0.6, integer_ticks[-1] + 0.6)
+        axes.set_xticks(integer_ticks)
     axes.set(xlim=plot.x_range, ylim=plot.y_range, title=title, ylabel=plot.y_label)
     if plot.x_names:
         label_width = max(90.0, (DRAWING_WIDTH - 80.0) / len(plot.x_names))
@@ -291,9 +291,9 @@ def _draw_bars(axes: Any, bars: Bars, palette: ColourPalette, title: str) -> Mar
     positions = range(len(bars.labels))
     values = np.asarray(bars.values, dtype=float)
     colours = [palette[f"series-{k + 1}"] for k in bars.colours or (0,) * len(bars.labels)]
-    starts = np.cumsum(values) - values if bars.stacked else np.zeros(values.size)
-    axes.barh(positions, values, 0.62, left=starts, color=colours)
-    values = values + starts
+    bar_starts = np.cumsum(values) - values if bars.stacked else np.zeros(values.size)
+    axes.barh(positions, values, 0.62, left=bar_starts, color=colours)
+    values = values + bar_starts
     max_value = float(np.max(np.abs(values), initial=0.0)) or 1.0
     max_label_width = 0.45 * DRAWING_WIDTH
     labels = [wrap_text(label, max_label_width) for label in bars.labels]
@@ -319,13 +319,13 @@ def _draw_bars(axes: Any, bars: Bars, palette: ColourPalette, title: str) -> Mar
             verticalalignment="center",
         )
     # The texts have fixed widths; the bars get the remaining width.
-    text_space = max(map(text_width, bars.texts), default=0.0) + 6.0
+    text_margin = max(map(text_width, bars.texts), default=0.0) + 6.0
     available_width = DRAWING_WIDTH - label_width - 12.0
     has_negative = bool((values < 0.0).any())
     axis_limit = (
         max_value
         * available_width
-        / max(available_width - text_space * (2.0 if has_negative else 1.0), 0.3 * available_width)
+        / max(available_width - text_margin * (2.0 if has_negative else 1.0), 0.3 * available_width)
     )
     axes.set_xlim(-axis_limit if has_negative else 0.0, axis_limit)
     if bars.x_label:
@@ -344,9 +344,9 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: ColourPalette, title: 
 
     n_labels = len(heat_map.labels)
     values = np.asarray(heat_map.values, dtype=float).reshape(n_labels, n_labels)
-    rows, columns = (grid.ravel() for grid in np.indices((n_labels, n_labels)))
-    corners = np.array([[0.03, 0.04], [0.97, 0.04], [0.97, 0.96], [0.03, 0.96]])
-    cells = np.stack([columns, rows], axis=1)[:, None, :] + corners
+    rows, columns = (index_grid.ravel() for index_grid in np.indices((n_labels, n_labels)))
+    corner_offsets = np.array([[0.03, 0.04], [0.97, 0.04], [0.97, 0.96], [0.03, 0.96]])
+    cells = np.stack([columns, rows], axis=1)[:, None, :] + corner_offsets
     axes.add_collection(
         PolyCollection(cells, facecolors=_cell_colours(values, palette), linewidths=0.0)
     )
@@ -372,11 +372,11 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: ColourPalette, title: 
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.set(xlim=(0.0, max(n_labels, 1)), ylim=(max(n_labels, 1), 0.0))
-    top = (label_width if is_vertical else 9.0) + 8.0
+    top_margin = (label_width if is_vertical else 9.0) + 8.0
     height = min(22.0, cell_width) * n_labels
     axes.set_title(title)
-    right = DRAWING_WIDTH - label_width - 12.0 - cell_width * n_labels
-    return compute_margins(axes, top + height + 2.0, top=top, right=right)
+    right_margin = DRAWING_WIDTH - label_width - 12.0 - cell_width * n_labels
+    return compute_margins(axes, top_margin + height + 2.0, top=top_margin, right=right_margin)
 
 
 def _cell_colours(values: Array, palette: ColourPalette) -> Array:

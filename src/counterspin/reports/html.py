@@ -65,7 +65,7 @@ def render_html(
             page_mark=Markup(_css_string(identifier)),
             summary=summary["content"],
             chapters=chapters,
-            tabbed=_is_tabbed(blocks),
+            tabbed=_has_tabs(blocks),
             uplot=Markup(_uplot_script()) if page.zoomable else None,
             script=Markup(_read_asset("report.js")),
         )
@@ -89,12 +89,12 @@ def render_fragment(blocks: Sequence[Block], *, title: str) -> str:
     """
     summary, *chapters = _PageBuilder(draws_pictures=False).make_chapters(blocks, title)
     template = _template_environment().get_template("part.html.jinja")
-    return template.render(summary=summary["content"], chapters=chapters, tabbed=_is_tabbed(blocks))
+    return template.render(summary=summary["content"], chapters=chapters, tabbed=_has_tabs(blocks))
 
 
 def page_style() -> str:
     """Return the CSS of a report, including that of its plots."""
-    return _report_style(with_uplot=True)
+    return _report_style(includes_uplot=True)
 
 
 def page_script() -> str:
@@ -102,7 +102,7 @@ def page_script() -> str:
     return f"{_uplot_script()}\n{_read_asset('report.js')}"
 
 
-def _is_tabbed(blocks: Iterable[Block]) -> bool:
+def _has_tabs(blocks: Iterable[Block]) -> bool:
     """Return whether chapters are tabs on a screen: in reports with cards."""
     return any(isinstance(block, Card) for block in blocks)
 
@@ -120,9 +120,9 @@ def _read_asset(name: str) -> str:
     return (resources.files("counterspin.reports") / "assets" / name).read_text(encoding="utf-8")
 
 
-def _report_style(with_uplot: bool) -> str:
+def _report_style(includes_uplot: bool) -> str:
     style = _read_asset("report.css").replace("/* dark.css */", _read_asset("dark.css").strip())
-    return _read_asset("uplot/uPlot.min.css") + style if with_uplot else style
+    return _read_asset("uplot/uPlot.min.css") + style if includes_uplot else style
 
 
 def _uplot_script() -> str:
@@ -132,11 +132,11 @@ def _uplot_script() -> str:
 
 def _css_string(text: str) -> str:
     """Return a CSS string with all characters except letters and digits escaped."""
-    plain_character = re.compile(r"[A-Za-z0-9]")
+    safe_pattern = re.compile(r"[A-Za-z0-9]")
     return (
         '"'
         + "".join(
-            character if plain_character.match(character) else f"\\{ord(character):x} "
+            character if safe_pattern.match(character) else f"\\{ord(character):x} "
             for character in text
         )
         + '"'
@@ -169,10 +169,10 @@ class _PageBuilder:
         """Return an id that is unique in the page."""
         slug = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "part"
         # The prefix avoids the ids of pictures and of the page.
-        element_id, count = f"at-{slug}", 1
+        element_id, suffix_number = f"at-{slug}", 1
         while element_id in self.used_ids:
-            count += 1
-            element_id = f"at-{slug}-{count}"
+            suffix_number += 1
+            element_id = f"at-{slug}-{suffix_number}"
         self.used_ids.add(element_id)
         return element_id
 

@@ -31,17 +31,17 @@ _MARKUP_AT_START: Final = re.compile(r"^(?:[-+=](?=[-+=\s]|$)|\d{1,9}(?=[.)](?:\
 
 def render_markdown(blocks: Sequence[Block]) -> str:
     """Return blocks as GitHub-flavoured Markdown, without pictures."""
-    parts = []
+    paragraphs = []
     for style, group in groupby(remove_pictures(blocks), _quote_style):
         if style is None:
-            parts += [_format_block(block) for block in group]
+            paragraphs += [_format_block(block) for block in group]
         else:
-            parts.append(
+            paragraphs.append(
                 _format_quote(
                     style, [block.text for block in group if isinstance(block, Paragraph)]
                 )
             )
-    return "\n\n".join(filter(None, parts)) + "\n"
+    return "\n\n".join(filter(None, paragraphs)) + "\n"
 
 
 def escape_markdown(text: str, line_break: str = "\\\n") -> str:
@@ -93,8 +93,8 @@ def _format_quote(style: str, texts: Sequence[str]) -> str:
 
 
 def _format_code(text: str, language: str) -> str:
-    max_ticks = max((len(ticks) for ticks in re.findall("`+", text)), default=0)
-    fence = "`" * max(3, max_ticks + 1)
+    max_backticks = max((len(backticks) for backticks in re.findall("`+", text)), default=0)
+    fence = "`" * max(3, max_backticks + 1)
     return f"{fence}{language}\n{text}\n{fence}"
 
 
@@ -111,8 +111,8 @@ def _format_table(table: Table) -> Iterator[str]:
 
 
 def _format_row(columns: Sequence[Column], cells: Sequence[str], widths: Sequence[int]) -> str:
-    padded = (
+    padded_cells = (
         cell.rjust(width) if column.align == "right" else cell.ljust(width)
         for column, cell, width in zip(columns, cells, widths, strict=True)
     )
-    return f"| {' | '.join(padded)} |"
+    return f"| {' | '.join(padded_cells)} |"

@@ -35,7 +35,7 @@ _DISPLAY_UNITS: Final = {
 _PLAIN_EXPONENTS: Final = range(-3, 6)
 
 #: Significant digits of a double; if more are needed, value and u are formatted separately.
-_DOUBLE_DIGITS: Final = 15
+_MAX_SIGNIFICANT_DIGITS: Final = 15
 
 
 def find_display_unit(unit: str) -> tuple[str, float]:
@@ -70,7 +70,7 @@ def round_to_uncertainty(value: float, u: float) -> RoundedEstimate | None:
     last_digit = u_decimal.adjusted() - 1
     # 0.0996 rounds to 0.10: one decimal fewer, or it would have three digits.
     last_digit += _round_at_digit(u_decimal, last_digit).adjusted() - u_decimal.adjusted()
-    if value_decimal and value_decimal.adjusted() - last_digit >= _DOUBLE_DIGITS:
+    if value_decimal and value_decimal.adjusted() - last_digit >= _MAX_SIGNIFICANT_DIGITS:
         return None
     largest_exponent = max(
         abs(_round_at_digit(value_decimal, last_digit)), _round_at_digit(u_decimal, last_digit)

@@ -33,10 +33,10 @@ from counterspin.reports.charts import render_svg
 _PDF_STANDARDS: Final = ["a-3a", "ua-1"]
 
 #: Replacement of a character without a glyph in any font.
-_REPLACEMENT: Final = "\N{WHITE SQUARE}"
+_REPLACEMENT_CHARACTER: Final = "\N{WHITE SQUARE}"
 
 #: Parts of typst's messages on a character without a glyph, and on a private-use character.
-_MISSING_GLYPH: Final = ("could not be displayed", "contains the codepoint")
+_MISSING_GLYPH_MESSAGES: Final = ("could not be displayed", "contains the codepoint")
 
 
 @frozen
@@ -72,7 +72,7 @@ def render_pdf(
     date: datetime,
     document_type: str = "a page",
     attachments: Sequence[Attachment] = (),
-    marks: PageMarks = _NO_MARKS,
+    page_marks: PageMarks = _NO_MARKS,
 ) -> bytes:
     """Set blocks as a PDF/A-3a (ISO 19005-3) and PDF/UA-1 (ISO 14289-1).
 
@@ -86,7 +86,7 @@ def render_pdf(
     if len(set(names)) < len(names):
         raise ValueError(f"each attachment must have a unique name; got {', '.join(names)}")
     utc_date = date.astimezone(UTC).replace(microsecond=0)
-    layout_data = _make_layout_data(blocks, title, identifier, utc_date, marks)
+    layout_data = _make_layout_data(blocks, title, identifier, utc_date, page_marks)
     layout_data |= {
         "mark": file_mark(document_type),
         "attachments": [
@@ -104,7 +104,7 @@ def render_pdf(
         f"attachment-{index}.json": _encode_bytes(attachment.data)
         for index, attachment in enumerate(attachments)
     }
-    return _compile_pdf(layout_data, files | _logo_files(marks.logo), utc_date)
+    return _compile_pdf(layout_data, files | _logo_files(page_marks.logo), utc_date)
 
 
 def render_page_images(
@@ -168,7 +168,7 @@ def _make_layout_data(
 
 def _layout_items(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
     """Yield the items of the layout: a block, or consecutive answers."""
-    pictures = 0
+    picture_index = 0
     for style, group in groupby(blocks, _answer_style):
         if style is not None:
             texts = [block.text for block in group if isinstance(block, Paragraph)]
@@ -183,8 +183,8 @@ def _layout_items(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
                 case Table():
                     yield _table_item(block)
                 case _:
-                    yield {"kind": "picture", "title": block.title, "number": pictures}
-                    pictures += 1
+                    yield {"kind": "picture", "title": block.title, "number": picture_index}
+                    picture_index += 1
 
 
 def _answer_style(block: Block) -> str | None:
@@ -219,21 +219,21 @@ def _compile_pdf(layout_data: dict[str, Any], files: dict[str, bytes], utc_date:
         return compile_layout(layout_data)
     except TypstError as error:
         # PDF/A requires a glyph for each character (ISO 19005-3, 6.2.11.8).
-        if not any(message in error.message for message in _MISSING_GLYPH):
+        if not any(message in error.message for message in _MISSING_GLYPH_MESSAGES):
             raise
     characters = sorted({character for text in _iterate_texts(layout_data) for character in text})
-    missing_from_typst = [
+    missing_typst_glyphs = [
         character for character in characters if not _has_glyph(character, only_typst_fonts=True)
     ]
-    missing_everywhere = [
+    missing_glyphs = [
         character
-        for character in missing_from_typst
+        for character in missing_typst_glyphs
         if not _has_glyph(character, only_typst_fonts=False)
     ]
-    replacements = str.maketrans(dict.fromkeys(missing_everywhere, _REPLACEMENT))
+    replacements = str.maketrans(dict.fromkeys(missing_glyphs, _REPLACEMENT_CHARACTER))
     return compile_layout(
         _translate_texts(layout_data, replacements),
-        only_typst_fonts=missing_everywhere == missing_from_typst,
+        only_typst_fonts=missing_glyphs == missing_typst_glyphs,
     )
 
 
@@ -292,12 +292,12 @@ def _iterate_texts(document: Any) -> Iterator[str]:
                 yield from _iterate_texts(item)
 
 
-def _translate_texts(document: Any, table: dict[int, str]) -> Any:
+def _translate_texts(document: Any, translations: dict[int, str]) -> Any:
     match document:
         case str():
-            return document.translate(table)
+            return document.translate(translations)
         case dict():
-            return {key: _translate_texts(value, table) for key, value in document.items()}
+            return {key: _translate_texts(value, translations) for key, value in document.items()}
         case list() | tuple():
-            return [_translate_texts(item, table) for item in document]
+            return [_translate_texts(item, translations) for item in document]
     return document

@@ -62,9 +62,9 @@ class Publication:
         from counterspin.reports.markdown import render_markdown
 
         issue_time = f"{issued.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
-        end = Paragraph(f"End of {self.identifier}, {issue_time}.", "quiet")
-        remark = f"<!-- {file_mark(self.document_type)} -->"
-        return f"{render_markdown(self.blocks)}\n{remark}\n\n{render_markdown([end])}"
+        end_paragraph = Paragraph(f"End of {self.identifier}, {issue_time}.", "quiet")
+        comment = f"<!-- {file_mark(self.document_type)} -->"
+        return f"{render_markdown(self.blocks)}\n{comment}\n\n{render_markdown([end_paragraph])}"
 
     def pdf(self, issued: datetime) -> bytes:
         """Return the report as a PDF, with a time of issue that has a time zone."""
@@ -116,8 +116,8 @@ def add_seal_warning(result: ResultFile, blocks: Iterable[Block]) -> list[Block]
     """Insert a warning after the title if the file of a result has no seal."""
     all_blocks = list(blocks)
     new_warnings = [warning for warning in seal_warnings(result) if warning not in all_blocks]
-    after_title = 1 if all_blocks and isinstance(all_blocks[0], Heading) else 0
-    return [*all_blocks[:after_title], *new_warnings, *all_blocks[after_title:]]
+    insert_index = 1 if all_blocks and isinstance(all_blocks[0], Heading) else 0
+    return [*all_blocks[:insert_index], *new_warnings, *all_blocks[insert_index:]]
 
 
 def parse_issue_date(text: str | None = None) -> datetime:
@@ -131,11 +131,11 @@ def parse_issue_date(text: str | None = None) -> datetime:
         if text is not None:
             if "T" not in text and " " not in text.strip():
                 return datetime.combine(date.fromisoformat(text.strip()), time(), UTC)
-            parsed = datetime.fromisoformat(text.strip())
-            parsed = parsed if parsed.tzinfo else parsed.replace(tzinfo=UTC)
+            issue_date = datetime.fromisoformat(text.strip())
+            issue_date = issue_date if issue_date.tzinfo else issue_date.replace(tzinfo=UTC)
             # In UTC the year may be outside the calendar.
-            parsed.astimezone(UTC)
-            return parsed
+            issue_date.astimezone(UTC)
+            return issue_date
         if epoch:
             return datetime.fromtimestamp(int(epoch), UTC)
     except (ValueError, OverflowError, OSError) as error:

@@ -37,7 +37,7 @@ def draw_sphere(axes: Any, sphere: Sphere, palette: Mapping[str, str], title: st
     for sign in (1.0, -1.0):
         _draw_hemisphere(axes, sphere, sign, palette)
         in_hemisphere = points[:, 2] * sign > 0.0 if sign > 0.0 else points[:, 2] <= 0.0
-        positions = _project(points[in_hemisphere], sign)
+        positions = _project_points(points[in_hemisphere], sign)
         for (x, y), value, point_index in zip(
             positions, values[in_hemisphere], np.flatnonzero(in_hemisphere), strict=True
         ):
@@ -75,7 +75,7 @@ def draw_sphere(axes: Any, sphere: Sphere, palette: Mapping[str, str], title: st
     return compute_margins(axes, _HEIGHT + 4.0 + 2.0)
 
 
-def _project(points: Array, sign: float) -> Array:
+def _project_points(points: Array, sign: float) -> Array:
     """Return a hemisphere's points in Lambert's equal-area projection, shape (n, 2)."""
     horizontal_distance = np.hypot(points[:, 0], points[:, 1])
     projected_radius = np.sqrt(np.maximum(1.0 - np.abs(points[:, 2]), 0.0))
@@ -103,17 +103,19 @@ def _draw_hemisphere(axes: Any, sphere: Sphere, sign: float, palette: Mapping[st
         axes.plot([centre - x, centre + x], [-y, y], color=palette["grid"], lw=0.6, zorder=1.0)
     outline = Circle((centre, 0.0), 1.0, fill=False, color=palette["muted"], lw=0.7)
     axes.add_patch(outline)
-    first, second, third = sphere.axes
+    first_axis, second_axis, third_axis = sphere.axes
     minus = "\u2212"
-    right, left = (first, minus + first) if sign > 0.0 else (minus + first, first)
+    right_label, left_label = (
+        (first_axis, minus + first_axis) if sign > 0.0 else (minus + first_axis, first_axis)
+    )
     for text, x, y, align in (
-        (right, 1.06, 0.0, "left"),
-        (left, -1.06, 0.0, "right"),
-        (second, 0.0, 1.08, "center"),
-        (minus + second, 0.0, -1.1, "center"),
+        (right_label, 1.06, 0.0, "left"),
+        (left_label, -1.06, 0.0, "right"),
+        (second_axis, 0.0, 1.08, "center"),
+        (minus + second_axis, 0.0, -1.1, "center"),
     ):
         axes.text(centre + x, y, text, ha=align, va="center", fontsize=8.0, color=palette["muted"])
-    view_axis = third if sign > 0.0 else minus + third
+    view_axis = third_axis if sign > 0.0 else minus + third_axis
     axes.text(
         centre - 1.2, 1.08, f"seen from {view_axis}", ha="left", va="center", color=palette["ink"]
     )

@@ -187,9 +187,9 @@ class Report:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield each block; called by rich."""
         previous_block: Block | None = None
-        for original in self.blocks:
+        for original_block in self.blocks:
             # Piped text stays typable, as in a campaign file.
-            block = typeset_block(original) if options.is_terminal else original
+            block = typeset_block(original_block) if options.is_terminal else original_block
             if previous_block is not None and _needs_blank_line(previous_block, block):
                 yield ""
             match block:

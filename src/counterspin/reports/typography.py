@@ -33,12 +33,12 @@ SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸�
 #: A power of ten alone, before a unit or after a cross.
 _POWER_OF_TEN: Final = re.compile(r"(?<![\w.])1e([-+]?\d+)(?!\w)")
 #: A number, perhaps with its uncertainty in brackets, times a power of ten.
-_TIMES_POWER: Final = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?(?:\([\d.]+\))?)e([-+]?\d+)(?!\w)")
-_EXPONENT: Final = re.compile(r"(?<=\w)\^(-?\d)(?!\.?\d)")
+_SCIENTIFIC_NUMBER: Final = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?(?:\([\d.]+\))?)e([-+]?\d+)(?!\w)")
+_CARET_EXPONENT: Final = re.compile(r"(?<=\w)\^(-?\d)(?!\.?\d)")
 #: The unit ug (micro-g).
 _MICRO_G: Final = re.compile(r"(?<![\w.])ug(?!\w|\.\w)")
 #: Minus signs of numbers, but not hyphens in words, names and dates.
-_SIGN: Final = re.compile(r"(?<![^\s(\[=±×])-(?=\.?\d)|(?<= )-(?= \d)")
+_MINUS_SIGN: Final = re.compile(r"(?<![^\s(\[=±×])-(?=\.?\d)|(?<= )-(?= \d)")
 _MULTIPLICATION_SIGN: Final = re.compile(r"(?<=[\d)]) x (?=10[⁻⁰-⁹¹²³])")
 
 
@@ -48,9 +48,9 @@ def typeset(text: str) -> str:
     Other text is unchanged.
     """
     text = _POWER_OF_TEN.sub(lambda match: f"10{_to_superscript(match[1])}", text)
-    text = _TIMES_POWER.sub(lambda match: f"{match[1]} × 10{_to_superscript(match[2])}", text)
-    text = _EXPONENT.sub(lambda match: match[1].translate(SUPERSCRIPTS), text)
-    return _SIGN.sub("−", _MULTIPLICATION_SIGN.sub(" × ", _MICRO_G.sub("µg", text)))
+    text = _SCIENTIFIC_NUMBER.sub(lambda match: f"{match[1]} × 10{_to_superscript(match[2])}", text)
+    text = _CARET_EXPONENT.sub(lambda match: match[1].translate(SUPERSCRIPTS), text)
+    return _MINUS_SIGN.sub("−", _MULTIPLICATION_SIGN.sub(" × ", _MICRO_G.sub("µg", text)))
 
 
 def set_indices(text: str, format_symbol: Callable[[str, str], str], symbol: str = SYMBOL) -> str:
@@ -113,20 +113,20 @@ def typeset_block(block: Block) -> Block:
 
 
 def _typeset_picture(picture: Picture) -> Picture:
-    titled = replace(picture, title=typeset(picture.title))
-    match titled:
+    titled_picture = replace(picture, title=typeset(picture.title))
+    match titled_picture:
         case Plot():
             return replace(
-                titled,
-                x_label=typeset(titled.x_label),
-                y_label=typeset(titled.y_label),
+                titled_picture,
+                x_label=typeset(titled_picture.x_label),
+                y_label=typeset(titled_picture.y_label),
                 series=tuple(
-                    replace(series, label=typeset(series.label)) for series in titled.series
+                    replace(series, label=typeset(series.label)) for series in titled_picture.series
                 ),
             )
         case Bars():
-            texts = tuple(map(typeset, titled.texts))
-            return replace(titled, texts=texts, x_label=typeset(titled.x_label))
+            texts = tuple(map(typeset, titled_picture.texts))
+            return replace(titled_picture, texts=texts, x_label=typeset(titled_picture.x_label))
         case Sphere():
-            return replace(titled, value_label=typeset(titled.value_label))
-    return titled
+            return replace(titled_picture, value_label=typeset(titled_picture.value_label))
+    return titled_picture
