@@ -80,7 +80,7 @@ class ReadingData:
 
     groups: tuple[FittedGroup, ...] = ()  #: Groups with a common noise.
 
-    def fields(self, estimate: Estimate) -> Mapping[str, Any]:  # noqa: ARG002
+    def result_fields(self, estimate: Estimate) -> Mapping[str, Any]:  # noqa: ARG002
         """Return fields of `Outcome` that these data determine."""
         return {}
 
@@ -124,7 +124,7 @@ class AccelerometerView:
     assessment: Assessment  #: Identifiability of the unknowns.
     name: str  #: Name of the accelerometer.
     #: Readings and poses of all accelerometers.
-    data: ReadingData = field(default_factory=ReadingData)
+    reading_data: ReadingData = field(default_factory=ReadingData)
     groups: tuple[FittedGroup, ...] = ()  #: Groups of readings or poses of this accelerometer.
 
     @property

@@ -165,7 +165,7 @@ def fit_jointly(problem: JointProblem) -> Outcome:
             *noise_remarks(views),
         ),
         residuals=residual_tables(estimate.fit, units),
-        **reading_data.fields(estimate),
+        **reading_data.result_fields(estimate),
     )
 
 
@@ -239,7 +239,7 @@ def _undetermined_findings(
 ) -> Iterator[Finding]:
     for symbol, coefficient in coefficients.items():
         if coefficient.value is None:
-            data_name, advice = view.data.advice(view, symbol)
+            data_name, advice = view.reading_data.advice(view, symbol)
             yield not_determined_finding(
                 f"{view.name}.{symbol}",
                 symbol,

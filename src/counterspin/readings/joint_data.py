@@ -72,7 +72,7 @@ class ReadingsAndPoses(ReadingData):
     recorded: MeanRecords = field(default_factory=MeanRecords)
     triad: TriadData | None = None
 
-    def fields(self, estimate: Estimate) -> Mapping[str, Any]:
+    def result_fields(self, estimate: Estimate) -> Mapping[str, Any]:
         """Return the triad, and the rates of runs on the arm."""
         triad = self.triad.result(estimate, self.groups) if self.triad else None
         return {"triad": triad, "arm_rates": self.recorded.rates}

@@ -21,7 +21,7 @@ _MAX_UNDETECTED_SHARE: Final = 0.5
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
     """Return the findings of the tests of an accelerometer's residuals."""
-    findings = view.data.findings(view)
+    findings = view.reading_data.findings(view)
     if not view.has_records:
         return findings
     diagnostics = view.diagnostics

@@ -138,7 +138,7 @@ def _fit_rotated_mounting(
     # The degrees of freedom are not used.
     dof = np.full(len(fit.model.unknowns), np.inf)
     estimate = replace(relaxed_estimate, fit=fit, dof=dof)
-    return view.data.fit_rotated_mounting(
+    return view.reading_data.fit_rotated_mounting(
         estimate, groups, view.name, partial(rotate_mounting, quarter_turns=quarter_turns)
     )
 
@@ -246,8 +246,8 @@ class _UntestedInput:
     default_sd: float  #: Default standard uncertainty.
     indices: tuple[int, ...]  #: Indices of its unknowns.
     #: Effect of one unit on the rows of the blocks, shape (n,), and on the priors, shape (p,).
-    data: Array
-    priors: Array
+    row_effect: Array
+    prior_effect: Array
 
 
 def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
@@ -259,7 +259,10 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
     data, priors = (
         np.column_stack(rows)
         for rows in zip(
-            *((untested_input.data, untested_input.priors) for untested_input in inputs),
+            *(
+                (untested_input.row_effect, untested_input.prior_effect)
+                for untested_input in inputs
+            ),
             strict=True,
         )
     )
