@@ -62,8 +62,8 @@ REDUCE = """
 import os, sys
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from counterspin.campaign.description import read_campaign
-from counterspin.calibration.observed_runs import observe
-for run in observe(read_campaign(sys.argv[1])):
+from counterspin.calibration.observed_runs import observe_runs
+for run in observe_runs(read_campaign(sys.argv[1])):
     pass
 """
 
