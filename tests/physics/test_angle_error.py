@@ -84,7 +84,7 @@ def test_derivatives_and_largest_values_match_differences():
     np.testing.assert_allclose(
         (ahead - 2 * here + behind) / step**2 / size, second / size, atol=1e-3
     )
-    np.testing.assert_allclose(size, error.largest, rtol=1e-3)
+    np.testing.assert_allclose(size, error.max_values, rtol=1e-3)
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])

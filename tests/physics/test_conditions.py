@@ -10,7 +10,7 @@ from counterspin.physics.conditions import STATED_CONDITIONS, RunConditions, Sta
 
 def test_unchanged_condition_has_value_at_start():
     conditions = RunConditions(start=750.0, temperature_offset=-1.7, direction=-0.5)
-    assert not conditions.changing
+    assert not conditions.changing_conditions
     start = conditions.at_start(3.0)
     expected = {"time": 750.0, "temperature": -1.7, "direction": -0.5, "force": 9.0}
     assert {name: start[name] for name in expected} == expected
@@ -22,8 +22,8 @@ def test_unchanged_condition_has_value_at_start():
 
 def test_condition_changing_within_run_is_named():
     profile = RunConditions(temperature_profile=(0.0, 1.0), length=2.0, reversal_times=(1.0,))
-    assert profile.changing == {"temperature", "direction"}
-    assert profile.changing <= profile.at_start(1.0).keys()
+    assert profile.changing_conditions == {"temperature", "direction"}
+    assert profile.changing_conditions <= profile.at_start(1.0).keys()
 
 
 def test_stated_conditions_are_keys_of_runs_and_fields_of_readings():

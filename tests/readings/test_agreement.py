@@ -30,7 +30,9 @@ class Values(Observation):
     run = motion = source
 
     def block(self, noise):
-        return reduce_block(self.design / self.u, self.values / self.u, None, self.fixed / self.u)
+        return reduce_block(
+            self.design / self.u, self.values / self.u, None, self.considered_design / self.u
+        )
 
 
 def make_values(kind, values, u, columns=None, considered=None):

@@ -124,7 +124,7 @@ def test_error_of_one_position_has_largest_standardised_residual():
     fit = solve_readings(
         [make_readings(make_tumble(), values, SIGMA)], make_model(("K_F", "K_I", "delta_O"))
     )
-    sizes = [abs(each.standardized) for each in fit.groups[0].single]
+    sizes = [abs(each.standardized) for each in fit.groups[0].single_readings]
     assert np.argmax(sizes) == 5
     assert sizes[5] > 50.0
 
@@ -147,12 +147,12 @@ def test_noise_matches_likelihood_search_of_records():
     part = fit.groups[0].linear
     assert 0.0 < part.noise_share.min() < 0.95
     time, nothing = np.arange(12.0), np.empty((36, 0))
-    added = 4.0 * part.head**2
+    added = 4.0 * part.other_sd**2
     rows = RecordData(
         time, 0, part.design, part.target, group.repeats, 1e-9, part.unknowns, added_variance=added
     )
     scatter = np.full(36, math.sqrt(group.scatter.sum() / 36.0))
-    repeats = RecordData(np.arange(36.0), 0, nothing, scatter, places=())
+    repeats = RecordData(np.arange(36.0), 0, nothing, scatter, column_indices=())
     known = np.zeros((1, 4))
     known[0, 3] = 1.0 / prior.prior[1]
     noise = estimate_noise(
@@ -209,7 +209,11 @@ def test_studentised_residual_matches_fit_without_reading():
     """Its distance from that prediction, over u of prediction and reading by the others' noise."""
     values = simulate_readings(make_tumble(), np.random.default_rng(13), SIGMA)
     model = make_model(("K_F", "K_I", "delta_O"))
-    every = solve_readings([make_readings(make_tumble(), values, None)], model).groups[0].single
+    every = (
+        solve_readings([make_readings(make_tumble(), values, None)], model)
+        .groups[0]
+        .single_readings
+    )
     x = np.array([[1.0, np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6])
     for k, reading in enumerate(every):
         others = np.delete(x, k, axis=0)

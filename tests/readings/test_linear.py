@@ -142,9 +142,9 @@ def test_tilt_of_vertical_axis_has_quadratic_mean_and_variance(repeats):
     np.testing.assert_allclose(
         np.abs(part.target[upright]), 1.0 - SETTING**2, rtol=0, atol=1e-5 * SETTING**2
     )
-    np.testing.assert_allclose(part.head[upright], SETTING**2 * math.sqrt(repeats), rtol=1e-5)
+    np.testing.assert_allclose(part.other_sd[upright], SETTING**2 * math.sqrt(repeats), rtol=1e-5)
     np.testing.assert_allclose(part.target[level], 0.0, atol=1e-12)
-    np.testing.assert_allclose(part.head[level], 0.0, atol=1e-12)
+    np.testing.assert_allclose(part.other_sd[level], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("held", [False, True], ids=["weighed", "held"])

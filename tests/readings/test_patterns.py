@@ -208,7 +208,7 @@ def test_outlying_reading_leads_to_no_column():
     values = simulate_readings(test, rng, 2e-6, truth=truth)
     values[0] += 2e-4
     joint, group, columns = score_columns(test, values, 2e-6)
-    (without,) = best_patterns(joint, [replace(group, left_out=(0,))], [columns])
+    (without,) = best_patterns(joint, [replace(group, outlier_indices=(0,))], [columns])
     assert without.p * without.tests > 0.01
 
 

@@ -192,7 +192,7 @@ def test_outlying_pose_has_smallest_p_value():
     values += NOISE * generator.standard_normal(values.shape)
     values[7] *= 1.0 + 12.0 * NOISE
     fit = solve_readings([triads.make_poses(values)], triads.make_unknowns())
-    p = np.array([single.p for single in fit.groups[0].single])
+    p = np.array([single.p for single in fit.groups[0].single_readings])
     assert np.argmin(p) == 7
     assert p[7] < 1e-4 < np.min(np.delete(p, 7))
 

@@ -308,7 +308,7 @@ def _platform_terms(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[
 def _is_observable(symbol: str, observable: str, mounting: Mounting, attitude_bytes: bytes) -> bool:
     """Return whether a shared term affects a record."""
     effect, attitude = SHARED_TERMS[symbol].effect, np.frombuffer(attitude_bytes).reshape(3, 3)
-    is_sensitive = effect.acts_on if observable == "displacement" else effect.shows_in
+    is_sensitive = effect.acts_on if observable == "displacement" else effect.affects_output
     return is_sensitive(mounting.turned(attitude).input_axis, attitude)
 
 

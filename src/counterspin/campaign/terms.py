@@ -80,7 +80,7 @@ def acting_rows(
     return tuple(
         row
         for row in BARE_NAMES[name]
-        if any(row.effect.leaves_mean(*axis_and_attitude, _NORTH) for axis_and_attitude in axes)
+        if any(row.effect.affects_mean(*axis_and_attitude, _NORTH) for axis_and_attitude in axes)
     )
 
 

@@ -68,7 +68,7 @@ class AngleError:
         return np.asarray(np.linalg.solve(self.root, self.deviation))
 
     @property
-    def largest(self) -> Array:
+    def max_values(self) -> Array:
         """Largest size of each function within the record, rad per unit, shape (m,)."""
         polynomial_sizes = [1.0, self.span / 2.0, abs(self.rate) * self.span**2 / 12.0]
         return np.array(

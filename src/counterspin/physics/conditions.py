@@ -59,7 +59,7 @@ class RunConditions:
         return np.append(self.knots, self.reversal_times)
 
     @property
-    def changing(self) -> frozenset[str]:
+    def changing_conditions(self) -> frozenset[str]:
         """Conditions other than time that change within the run."""
         changes = {"temperature": self.temperature_profile, "direction": self.reversal_times}
         return frozenset(name for name, change in changes.items() if change)

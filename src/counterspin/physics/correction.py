@@ -408,10 +408,10 @@ def correct(
     known_sensitivity = np.zeros((n, m, len(known_forces) + 1))
     variance = np.zeros((n, m, m))
     for k, instrument in enumerate(instruments):
-        coefficients_at = instrument.at(temperature_offset.value)
-        p, o = (_total_slope(coefficients_at, a_ipo[k], axis)[:, None] for axis in "PO")
+        coefficients = instrument.at(temperature_offset.value)
+        p, o = (_total_slope(coefficients, a_ipo[k], axis)[:, None] for axis in "PO")
         jacobian[:, k] = p * weights[k, 0, :m] + o * weights[k, 1, :m]
-        jacobian[:, k, k] += _total_slope(coefficients_at, a_ipo[k], "I")
+        jacobian[:, k, k] += _total_slope(coefficients, a_ipo[k], "I")
         known_sensitivity[:, k, :-1] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
         known_sensitivity[:, k, -1] = _temperature_sensitivity(
             instrument, a_ipo[k], temperature_offset.value

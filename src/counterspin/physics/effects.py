@@ -198,9 +198,9 @@ class AttitudeError:
             axis_change = np.cross(self._turn_axis(attitude), input_axis)
             if is_steady and abs(float(axis_change @ _UP)) > _ROUNDING:
                 return True  # as a drift
-        return self.leaves_mean(input_axis, attitude)
+        return self.affects_mean(input_axis, attitude)
 
-    def shows_in(self, input_axis: Array, attitude: Array) -> bool:
+    def affects_output(self, input_axis: Array, attitude: Array) -> bool:
         """Return True if the error affects the output of an accelerometer, including harmonics.
 
         In displacement, harmonics are negligible compared with the accelerations of `acts_on`. In
@@ -211,7 +211,7 @@ class AttitudeError:
         axis_change = np.cross(self._turn_axis(attitude), input_axis)
         return float(np.linalg.norm(axis_change)) > _ROUNDING
 
-    def leaves_mean(self, input_axis: Array, attitude: Array, start: Array | None = None) -> bool:
+    def affects_mean(self, input_axis: Array, attitude: Array, start: Array | None = None) -> bool:
         """Return True if the error causes a mean acceleration over whole revolutions.
 
         input_axis, attitude: See `acts_on`.
@@ -273,9 +273,9 @@ class TrajectoryError:
         affected_components = input_axis[2:] if self.kind == "axis_tilt" else input_axis[:2]
         return float(np.linalg.norm(affected_components)) > _ROUNDING
 
-    shows_in = acts_on
+    affects_output = acts_on
 
-    def leaves_mean(
+    def affects_mean(
         self,
         input_axis: Array,
         attitude: Array,

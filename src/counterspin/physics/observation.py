@@ -34,7 +34,7 @@ from counterspin.physics.terms import TERMS, term
 _MAX_NODES: Final = 16384
 
 #: Effects that are integrated along a trajectory.
-Integrated = SpecificForceProduct | AttitudeError | Slope
+IntegratedEffect = SpecificForceProduct | AttitudeError | Slope
 
 #: Observable -> number of integrations of the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
@@ -176,16 +176,17 @@ def columns(
         if isinstance(effect, SpecificForceProduct) and effect.has_kink
     }
     motion_errors = [i for i, effect in enumerate(effects) if isinstance(effect, TrajectoryError)]
+    changing = trajectory.conditions.changing_conditions
     slopes = {
         i: effect
         for i, effect in enumerate(effects)
-        if isinstance(effect, Slope) and effect.condition not in trajectory.conditions.changing
+        if isinstance(effect, Slope) and effect.condition not in changing
     }
     evaluated_indices = {*linear_vectors, *bias_indices, *kinked_effects, *motion_errors, *slopes}
     smooth_effects = {
         i: effect
         for i, effect in enumerate(effects)
-        if i not in evaluated_indices and isinstance(effect, Integrated)
+        if i not in evaluated_indices and isinstance(effect, IntegratedEffect)
     }
     if unobserved_indices := set(range(len(effects))) - evaluated_indices - set(smooth_effects):
         raise ValueError(
@@ -251,7 +252,7 @@ class _Integrals:
     def at(
         self,
         times: Array,
-        effects: Sequence[Integrated],
+        effects: Sequence[IntegratedEffect],
         axes: Mounting,
         attitude: Array,
         order: int,
@@ -263,7 +264,7 @@ class _Integrals:
         return self._panels.at(times, self._evaluate(effects, axes, attitude, order))
 
     def _evaluate(
-        self, effects: Sequence[Integrated], axes: Mounting, attitude: Array, order: int
+        self, effects: Sequence[IntegratedEffect], axes: Mounting, attitude: Array, order: int
     ) -> Array:
         if self._panels.nodes.size > _MAX_NODES:
             return self._panels.series(_integrands(effects, self._motion, axes, attitude), order)
@@ -327,7 +328,7 @@ def table_angle_error(effect: AttitudeError, motion: Motion) -> Array:
 
 
 def _integrands(
-    effects: Sequence[Integrated], motion: Motion, axes: Mounting, attitude: Array
+    effects: Sequence[IntegratedEffect], motion: Motion, axes: Mounting, attitude: Array
 ) -> Array:
     """Return the integrands of terms, m/s^2 per unit coefficient and K_I, shape (k, m)."""
     sensor_inputs = _SensorInputs(motion, axes, attitude)
@@ -385,14 +386,14 @@ class _TimeIntegrals:
         force: Array = getattr(self.motion, attributes[self._order])
         return force.T
 
-    def smooth(self, effects: Sequence[Integrated]) -> Array:
+    def smooth(self, effects: Sequence[IntegratedEffect]) -> Array:
         """Return the integrals of terms, (k, n)."""
         if self._order == 0:
             return self._specific_force_columns(effects)
         integrals = _trajectory_integrals(self._trajectory, self._duration)
         return integrals.at(self._times, effects, self._axes, self._attitude, self._order)
 
-    def kinked(self, effects: Sequence[Integrated]) -> Array:
+    def kinked(self, effects: Sequence[IntegratedEffect]) -> Array:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
         if self._order == 0:
             return self._specific_force_columns(effects)
@@ -400,7 +401,7 @@ class _TimeIntegrals:
         integrals = _trajectory_integrals(self._trajectory, self._duration, axis)
         return integrals.at(self._times, effects, self._axes, self._attitude, self._order)
 
-    def _specific_force_columns(self, effects: Sequence[Integrated]) -> Array:
+    def _specific_force_columns(self, effects: Sequence[IntegratedEffect]) -> Array:
         """Return the contributions of terms to the specific force, m/s^2, (k, n)."""
         return _integrands(effects, self.motion, self._axes, self._attitude)
 
@@ -415,7 +416,7 @@ class _SensorInputs:
         self._attitude = attitude
         self._gravity = motion.trajectory.site.gravity
 
-    def integrand(self, effect: Integrated) -> Array:
+    def integrand(self, effect: IntegratedEffect) -> Array:
         """Return the integrand of a term, m/s^2 per unit coefficient and K_I, shape (m,)."""
         if isinstance(effect, SpecificForceProduct):
             return self._gravity * effect.evaluate(self._a_ipo, self._rotation)

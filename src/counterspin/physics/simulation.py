@@ -189,7 +189,11 @@ def _change_since_start(
     change_sum: Array | float = 0.0
     for symbol, slope in coefficients.items():
         row = CONDITION_TERMS.get(symbol)
-        if row is None or slope == 0.0 or row.effect.condition not in conditions.changing:
+        if (
+            row is None
+            or slope == 0.0
+            or row.effect.condition not in conditions.changing_conditions
+        ):
             continue
         factors = row.effect.design_factors(conditions.at(times, 0.0))
         change = factors - row.effect.design_factor(conditions, 0.0)

@@ -71,7 +71,7 @@ def _extend_block(observation: Observation, columns: Array, fit: JointFit) -> Bl
     n_considered = start + columns.shape[1]
     full_observation = replace(
         observation,
-        fixed=np.column_stack([observation.fixed, columns]),
+        considered_design=np.column_stack([observation.considered_design, columns]),
         considered=(*observation.considered, *range(start, n_considered)),
     )
     return full_observation.expand_block(
@@ -102,7 +102,7 @@ def make_column_function(
 
     def evaluate_columns(observation: Observation) -> Array:
         if isinstance(observation, LinearReadings):
-            return observation.group.linearize(full_model, expected).fixed[
+            return observation.group.linearize(full_model, expected).considered_design[
                 :, len(model.considered) :
             ]
         assert isinstance(observation, DesignBlock)
@@ -111,7 +111,7 @@ def make_column_function(
             [observation.series], active_model, factors, expected[active_indices]
         )
         columns = np.zeros((len(observation.design), len(terms)))
-        columns[:, list(block.considered)] = block.fixed
+        columns[:, list(block.considered)] = block.considered_design
         return columns
 
     return evaluate_columns

@@ -224,7 +224,7 @@ class TermWeights:
             block = self._columns(instrument, attitude, sense * rate, angle / rate)
             keys = [make_key(model.unknowns[i]) for i in block.unknowns]
             keys += [make_key(model.considered[i]) for i in block.considered]
-            columns = [block.design, block.fixed]
+            columns = [block.design, block.considered_design]
             for owner, symbol in keys[: len(block.unknowns)]:
                 if condition_of(symbol) == "time":
                     keys.append((owner, symbol + PER_SECOND_SUFFIX))
@@ -276,7 +276,7 @@ class TermWeights:
         (block,) = build_design_blocks([series], setup.model, factors, setup.expected)
         unknowns = [setup.model.unknowns[i].symbol for i in block.unknowns]
         considered = [setup.model.considered[i].symbol for i in block.considered]
-        for symbols, columns in ((unknowns, block.design), (considered, block.fixed)):
+        for symbols, columns in ((unknowns, block.design), (considered, block.considered_design)):
             if CLOCK in symbols and instrument.order > 0:
                 column = columns[:, symbols.index(CLOCK)]
                 column[:] = self._clock_derivative(block, column, instrument.order)

@@ -79,7 +79,7 @@ def solve_readings(
             first_fit = _solve_or_constrain(
                 readings, model.with_default_priors(candidates), records
             )
-            undetermined_terms = group.undetermined(first_fit.fit, model, candidates)
+            undetermined_terms = group.find_undetermined(first_fit.fit, model, candidates)
             model = model.with_default_priors(undetermined_terms)
             break
     solved = _solve_or_constrain(readings, model, records, first_fit)
@@ -262,7 +262,7 @@ def _solve(
             break
     else:
         for group in readings:
-            if reason := group.divergence(_MAX_ITERATIONS):
+            if reason := group.divergence_message(_MAX_ITERATIONS):
                 raise ConvergenceError(reason)
         name = _worst_reading(readings, records, model)
         raise ConvergenceError(
@@ -362,7 +362,7 @@ def _update_noise(
         return 1.0
     complements = 1.0 - linear_group.leverages(solution)
     repeat_dof = group.repeat_dof
-    if reason := group.lack_of_noise(
+    if reason := group.insufficient_noise_message(
         float(complements.sum()) + repeat_dof, free_count, solution, model
     ):
         raise NotIdentifiableError(reason)
@@ -376,6 +376,6 @@ def _update_noise(
         sum_of_squares / (float(noise_share @ complements) + repeat_dof)
     )
     if repeat_dof < MIN_DOF:
-        sd = max(sd, _MIN_NOISE_TO_HEAD * float(np.sqrt(np.mean(linear_group.head**2))))
+        sd = max(sd, _MIN_NOISE_TO_HEAD * float(np.sqrt(np.mean(linear_group.other_sd**2))))
     # With default priors, a fit may follow noiseless readings to the last digit.
     return max(sd, group.noise_floor)

@@ -79,7 +79,7 @@ class FittedReadings:
     #: Residuals at the estimate, g, shape (n,).
     residuals: Array = field(default_factory=lambda: np.empty(0))
     chi2: float = math.nan  #: Chi-square of the residuals, with noise and considered terms.
-    single: tuple[Position, ...] = ()  #: Each reading by itself.
+    single_readings: tuple[Position, ...] = ()  #: Each reading by itself.
     positions: tuple[Position, ...] = ()  #: Each position with several readings.
 
     def index_in(self, fit: JointFit) -> int | None:
@@ -144,7 +144,7 @@ class FittedReadings:
             residual_dof=linear.residual_dof(solution),
             residuals=linear.residuals(solution, model),
             chi2=linear.chi2(solution, model),
-            single=tuple(positions[: group.size]),
+            single_readings=tuple(positions[: group.size]),
             positions=tuple(positions[group.size :]),
         )
 
@@ -162,7 +162,7 @@ class FittedReadings:
         """
         if self.noise_dof < MIN_DOF:
             return []
-        positions = [*self.positions, *self.single]
+        positions = [*self.positions, *self.single_readings]
         z, significance = (
             [item.studentized for item in positions],
             _POSITION_SIGNIFICANCE / len(positions),

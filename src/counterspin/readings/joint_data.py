@@ -214,7 +214,7 @@ def reading_results(
     row_values = (
         column.tolist() for column in (*columns, fitted_group.sigma, fitted_group.residuals)
     )
-    rows = zip(group.names, group.mountings, fitted_group.single, *row_values, strict=True)
+    rows = zip(group.names, group.mountings, fitted_group.single_readings, *row_values, strict=True)
     return [
         ReadingResult(
             name=name,

@@ -104,7 +104,7 @@ class Readings:
 
     def perturb(self, stations: Stations, symbol: str, deviation: float) -> Stations:
         """Return stations of the readings with the effect of another machine term."""
-        steps = deviation * self.acts_mask(symbol)
+        steps = deviation * self.affected_mask(symbol)
         return (
             stations.perturb(symbol, steps, self.head, self.head_angles)
             if steps.any()
@@ -215,7 +215,7 @@ class Readings:
         """Return no parameter: attitudes are known."""
         return ()
 
-    def undetermined(
+    def find_undetermined(
         self,
         fit: JointFit,  # noqa: ARG002
         model: Unknowns,  # noqa: ARG002
@@ -228,7 +228,7 @@ class Readings:
         """Return zeros: a reading is nearly linear in its unknowns."""
         return np.zeros((self.size, moves.shape[1]))
 
-    def lack_of_noise(
+    def insufficient_noise_message(
         self,
         freedom: float,
         free: int,  # noqa: ARG002
@@ -244,11 +244,11 @@ class Readings:
             "uncertainty, or take more readings than there are unknowns"
         )
 
-    def divergence(self, rounds: int) -> str:  # noqa: ARG002
+    def divergence_message(self, rounds: int) -> str:  # noqa: ARG002
         """Return no cause, because the fit names the reading with the largest residual."""
         return ""
 
-    def acts_mask(self, symbol: str) -> Array:
+    def affected_mask(self, symbol: str) -> Array:
         """Return 1 for each reading that a machine term affects, else 0, shape (n,)."""
         if not is_term(symbol) or self.motion not in term(symbol).motions:
             return np.zeros(self.size)
@@ -289,7 +289,7 @@ def linearize(
     machine_terms = {
         symbol: float(values[index])
         for index, symbol in symbols.items()
-        if not unknowns[index].owner and group.acts_mask(symbol).any()
+        if not unknowns[index].owner and group.affected_mask(symbol).any()
     }
     design_factors = dict(_design_factors(group, symbols))
     operating_point = _OperatingPoint.at(
@@ -309,7 +309,7 @@ def linearize(
         # Each of the mountings, or positions, of a row has readings of its own.
         owner_index = np.full(group.size, -1)
         for index in indices:
-            owner_index[group.acts_mask(symbols[index]) > 0.0] = index
+            owner_index[group.affected_mask(symbols[index]) > 0.0] = index
         affected_rows = np.flatnonzero(owner_index >= 0)
         owner_index, step = owner_index[affected_rows], _RELATIVE_STEP * unknowns[indices[0]].limit
         upper_products, lower_products = operating_point.perturb_both(
@@ -353,7 +353,7 @@ def linearize(
         group.repeats,
         np.sqrt(extra_variance),
     )
-    return replace(linear, rate=rate_noise, u_rate=group.u_rate, default_rate=group.default_rate)
+    return replace(linear, rate_sd=rate_noise, u_rate=group.u_rate, default_rate=group.default_rate)
 
 
 #: Index of an unknown of the accelerometer -> index of its product, and its factor, shape (n,).
@@ -473,6 +473,6 @@ def perturb_input(
         return group
     has_own_radius = np.zeros(group.size)
     for symbol in stated_symbols:
-        has_own_radius += group.acts_mask(symbol) if symbol.startswith(f"{name}.") else 0.0
+        has_own_radius += group.affected_mask(symbol) if symbol.startswith(f"{name}.") else 0.0
     radius = group.stations.radius + np.where(has_own_radius, 0.0, change)
     return replace(group, stations=replace(group.stations, radius=radius))

@@ -107,7 +107,7 @@ class ReadingGroup(Protocol):
     def default_candidates(self, model: Unknowns) -> Sequence[Unknown]:
         """Return the requested parameters that the directions of poses may leave undetermined."""
 
-    def undetermined(
+    def find_undetermined(
         self, fit: JointFit, model: Unknowns, candidates: Sequence[Unknown]
     ) -> Sequence[Unknown]:
         """Return the candidates that the directions of poses do not determine.
@@ -122,14 +122,16 @@ class ReadingGroup(Protocol):
         moves: Steps of the unknowns from the estimate, shape (p, m).
         """
 
-    def lack_of_noise(self, freedom: float, free: int, solution: Solution, model: Unknowns) -> str:
+    def insufficient_noise_message(
+        self, freedom: float, free: int, solution: Solution, model: Unknowns
+    ) -> str:
         """Return an error message if the residuals do not determine the noise, else ''.
 
         freedom: Degrees of freedom of the residuals and of repeats.
         free: Number of unknowns that the group alone determines.
         """
 
-    def divergence(self, rounds: int) -> str:
+    def divergence_message(self, rounds: int) -> str:
         """Return an error message on a fit that did not converge; empty: unknown cause."""
 
 
@@ -145,11 +147,11 @@ class LinearReadings(Observation):
 
     group: ReadingGroup
     target: Array  # (n,), g, readings minus the indications of a perfect system
-    stated: Array | None  # (n,), g, stated noise without the contributions in `head`
+    stated_sd: Array | None  # (n,), g, stated noise without the contributions in `other_sd`
     repeats: Array  # (n,), number of repeats
-    head: Array  # (n,), g, contribution of head, rates and squares of positioning errors
+    other_sd: Array  # (n,), g, contribution of head, rates and squares of positioning errors
     sigma: Array  # (n,), g, total standard uncertainty
-    rate: Array | float = 0.0  # (n,), g, contribution of the rates in `head`
+    rate_sd: Array | float = 0.0  # (n,), g, contribution of the rates in `other_sd`
     u_rate: Array | float = 0.0  # (n,), as in `Readings`
     default_rate: Array | float = 0.0  # (n,), as in `Readings`
 
@@ -184,8 +186,8 @@ class LinearReadings(Observation):
 
     def with_noise(self, noise: float) -> LinearReadings:
         """Return the readings with a noise of one repeat, unless they state their noise."""
-        noise_sd = noise / np.sqrt(self.repeats) if self.stated is None else self.stated
-        return replace(self, sigma=np.hypot(noise_sd, self.head))
+        noise_sd = noise / np.sqrt(self.repeats) if self.stated_sd is None else self.stated_sd
+        return replace(self, sigma=np.hypot(noise_sd, self.other_sd))
 
     def block(self, noise: Mapping[str, Noise]) -> Block:
         """Return the square-root information with the noise of the source, unless it is stated."""
@@ -198,7 +200,7 @@ class LinearReadings(Observation):
         """Return the square-root information with the current noise."""
         weight = 1.0 / self.sigma[:, None]
         return reduce_block(
-            self.design * weight, self.target / self.sigma, None, self.fixed * weight
+            self.design * weight, self.target / self.sigma, None, self.considered_design * weight
         )
 
     def gains(self, solution: Solution, weights: Array) -> Array:
@@ -209,7 +211,7 @@ class LinearReadings(Observation):
 
     def rate_variances(self, solution: Solution, weights: Array) -> tuple[float, float]:
         """Return the variances of a combination due to random rate errors: stated, and default."""
-        variances = (self.gains(solution, weights) * self.rate) ** 2
+        variances = (self.gains(solution, weights) * self.rate_sd) ** 2
         default_variance = float(np.sum(variances * self.default_rate))
         return float(np.sum(variances)) - default_variance, default_variance
 
@@ -223,7 +225,8 @@ class LinearReadings(Observation):
         """Return the residuals with considered terms at their assumed values, shape (n,)."""
         means = np.array([term.prior_mean for term in model.considered])
         residuals: Array = (
-            self.residuals_at(solution.estimate) - self.fixed @ means[list(self.considered)]
+            self.residuals_at(solution.estimate)
+            - self.considered_design @ means[list(self.considered)]
         )
         return residuals
 
@@ -254,7 +257,7 @@ class LinearReadings(Observation):
     def considered_sensitivity(self, solution: Solution) -> Array:
         """Return d(residuals)/d(considered terms), shape (n, q), except for the sign."""
         columns: Array = self.design @ solution.sensitivity_considered[list(self.unknowns)]
-        columns[:, list(self.considered)] += self.fixed
+        columns[:, list(self.considered)] += self.considered_design
         return columns
 
     def covariance(self, solution: Solution) -> Array:
@@ -311,7 +314,7 @@ class LinearReadings(Observation):
     @property
     def noise_share(self) -> Array:
         """Fraction of the noise in the variance of each reading, shape (n,)."""
-        share: Array = 1.0 - (self.head / self.sigma) ** 2
+        share: Array = 1.0 - (self.other_sd / self.sigma) ** 2
         return share
 
 
@@ -329,6 +332,6 @@ def rows_at(
     """Return the rows of `blocks_at`, reading by reading, with unit variance."""
     linear_groups = [group.linearize(model, estimate) for group in readings]
     return [
-        (part.design / part.sigma[:, None], part.fixed / part.sigma[:, None])
+        (part.design / part.sigma[:, None], part.considered_design / part.sigma[:, None])
         for part in linear_groups
     ]

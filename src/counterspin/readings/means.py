@@ -61,7 +61,7 @@ class RowRotation:
     highest_harmonic: int = 0  #: Highest harmonic of the ripple.
 
     @property
-    def turns(self) -> bool:
+    def is_rotating(self) -> bool:
         """True if the spindle turns."""
         return bool(np.ptp(self.angle) > 0.0)
 
@@ -122,7 +122,7 @@ def mean_of_record(
     has_variation = y.size and np.ptp(y) > 0.0
     digest = sha256(t.tobytes() + y.tobytes()).digest() if has_variation else None
     revolutions = 0
-    if y.size and rotation.turns:
+    if y.size and rotation.is_rotating:
         angles = np.abs(rotation.angle[rows] - rotation.angle[rows[0]])
         revolutions = math.floor(angles[-1] / (2.0 * math.pi) + 1e-9)
         rows = rows[angles < revolutions * 2.0 * math.pi * (1.0 + 1e-12)]
@@ -159,7 +159,7 @@ def _fit_offset(y: Array, rotation: RowRotation) -> tuple[float, Array]:
     angle = rotation.angle - rotation.angle[0]
     columns = [np.ones_like(y)]
     max_harmonic = max(_N_HARMONICS, rotation.highest_harmonic)
-    for n in range(1, max_harmonic + 1) if rotation.turns else ():
+    for n in range(1, max_harmonic + 1) if rotation.is_rotating else ():
         columns += [np.cos(n * angle), np.sin(n * angle)]
     design = np.column_stack(columns)
     coefficients = np.linalg.lstsq(design, y, rcond=None)[0]
@@ -175,7 +175,7 @@ def _burst_mask(t: Array, y: Array, rotation: RowRotation) -> np.ndarray:
     boundaries = np.linspace(0, y.size, count + 1).astype(int)
     lengths = np.diff(boundaries)
     # At rest, the median is not affected by a burst of a third of the record.
-    residuals = _fit_offset(y, rotation)[1] if rotation.turns else y - median(y)
+    residuals = _fit_offset(y, rotation)[1] if rotation.is_rotating else y - median(y)
     means, times = (np.add.reduceat(column, boundaries[:-1]) / lengths for column in (residuals, t))
     steps = np.diff(times)
     step = median(steps)

@@ -112,10 +112,10 @@ class ResidualGroup:
     noise_fraction: Array  #: Fraction of the noise in the variance of each reading, shape (n,).
     chi2: float  #: Sum of the squared residuals over the squared uncertainties.
     residual_dof: float  #: Degrees of freedom of the residuals, or of an estimated noise.
-    estimated: bool  #: True if the noise was estimated.
+    is_noise_estimated: bool  #: True if the noise was estimated.
     repeat_squares: float  #: Contribution of repeats at one setting to `chi2`.
     #: Indices of outliers, which the tests ignore.
-    left_out: tuple[int, ...] = ()
+    outlier_indices: tuple[int, ...] = ()
 
 
 @frozen
@@ -374,7 +374,7 @@ def best_patterns(
     outlier_columns = [
         Alternative("left out", "", str(member), {group.index: np.eye(group.readings.size)[member]})
         for group in groups
-        for member in group.left_out
+        for member in group.outlier_indices
     ]
     all_columns = [
         *outlier_columns,
@@ -542,7 +542,7 @@ def _p_value(
     """
     other_dof = max(group.residual_dof - n_columns, 0.5)
     p_without_scale = _tail_probability(n_columns, math.inf, chi2_gain)
-    if not group.estimated:
+    if not group.is_noise_estimated:
         remaining_chi2 = max(group.chi2 - chi2_gain, 0.0)
         scale = max(remaining_chi2 / other_dof, 1e-12)
         # If there are other errors, the gain must exceed their scale.

@@ -150,7 +150,7 @@ def fit_records(
             replace(
                 block,
                 considered=(*block.considered, *indices),
-                fixed=np.column_stack([block.fixed, added_columns]),
+                considered_design=np.column_stack([block.considered_design, added_columns]),
             )
             for block, added_columns in zip(blocks, columns, strict=True)
         )

@@ -222,19 +222,21 @@ class TriadPoses:
         """Return the requested parameters that the directions may leave undetermined."""
         return default_candidates(model, self.accelerometers)
 
-    def undetermined(
+    def find_undetermined(
         self, fit: JointFit, model: Unknowns, candidates: Sequence[Unknown]
     ) -> Sequence[Unknown]:
         """Return the candidates that the directions do not determine, as in `Measured`."""
         return undetermined_parameters(fit, model, candidates)
 
-    def lack_of_noise(self, freedom: float, free: int, solution: Solution, model: Unknowns) -> str:
+    def insufficient_noise_message(
+        self, freedom: float, free: int, solution: Solution, model: Unknowns
+    ) -> str:
         """Return the error that the residuals do not determine their noise; as in `Measured`."""
         if freedom >= 0.5 and self.size + self.repeat_dof > free:
             return ""
         return _insufficient_poses_error(self, solution, model)
 
-    def divergence(self, rounds: int) -> str:
+    def divergence_message(self, rounds: int) -> str:
         """Return the error that the fit did not converge in so many rounds."""
         return _divergence_error(self, rounds)
 

@@ -132,7 +132,7 @@ class _LinearModel:
     """Biases of a triad, and the vectors along which its accelerometers feel."""
 
     names: Sequence[str]
-    places: Mapping[tuple[str, str], int]  # of the unknowns, p of them
+    indices: Mapping[tuple[str, str], int]  # of the unknowns, p of them
     count: int  # p
     bias: Array  # (3,), g
     rows: Array  # (3, 3), in the triad's frame
@@ -183,8 +183,8 @@ class _LinearModel:
         """Return slopes by the unknowns, (p,), of what has slopes by an accelerometer's terms."""
         derivatives = np.zeros(self.count)
         for symbol, slope in slopes_by_symbol.items():
-            if (name, symbol) in self.places:
-                derivatives[self.places[name, symbol]] = slope
+            if (name, symbol) in self.indices:
+                derivatives[self.indices[name, symbol]] = slope
         return derivatives
 
     def row_slopes(self, index: int, slope: Array) -> Array:
@@ -203,7 +203,7 @@ def _derive_parameters(
     campaign: Campaign, linear_model: _LinearModel, estimate: Estimate
 ) -> Iterator[tuple[str, _DerivedParameter]]:
     """Yield the nine parameters, and the terms of second order that were asked for."""
-    names, indices = linear_model.names, linear_model.places
+    names, indices = linear_model.names, linear_model.indices
     for index, name in enumerate(names):
         limit = campaign.limit_of("K_F", name)
         slopes = linear_model.slopes(name, {"K_F": 1.0})
@@ -388,7 +388,7 @@ def _pose_results(
 ) -> Iterator[PoseResult]:
     """Yield the poses as a result shows them, and where they were found."""
     for k, name in enumerate(group.names):
-        pose, z = poses_by_name[name], fitted_group.single[k].standardized
+        pose, z = poses_by_name[name], fitted_group.single_readings[k].standardized
         start = end = samples = None
         if pose.record is not None:
             poses, index = pose.record.poses, pose.index

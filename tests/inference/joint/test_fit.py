@@ -146,7 +146,7 @@ def test_u_but_not_noise_part_covers_considered_term(paper_series, noise):
                 series=replace(
                     record.series,
                     error=record.series.error
-                    + record.fixed @ [rng_k_oo, 0.5 * ARCSEC * rng.standard_normal()],
+                    + record.considered_design @ [rng_k_oo, 0.5 * ARCSEC * rng.standard_normal()],
                 ),
             )
             for rng_k_oo in (1e-6 + 2e-6 * rng.standard_normal(),)
@@ -546,7 +546,10 @@ def test_updated_design_blocks_match_new_ones():
             second.unknowns,
             second.considered,
         )
-        for got, expected in ((first.design, second.design), (first.fixed, second.fixed)):
+        for got, expected in (
+            (first.design, second.design),
+            (first.considered_design, second.considered_design),
+        ):
             error = np.abs(got - expected).max(axis=0)
             assert (error < 1e-12 * np.abs(expected).max(axis=0)).all()
 
@@ -676,7 +679,7 @@ def test_gravity_derivative_of_record_in_g_has_no_noise():
         replace(one, error=one.error + 0.01 * rng.standard_normal(one.time.size)) for one in clean
     ]
     columns = [
-        [part.fixed for part in build_design_blocks(series, model, {"Qx": 1.0}, true)]
+        [part.considered_design for part in build_design_blocks(series, model, {"Qx": 1.0}, true)]
         for series in (clean, noisy)
     ]
     for one, same, other in zip(clean, *columns, strict=True):
@@ -743,7 +746,7 @@ def test_considered_term_within_uncertainty_fits(noise):
         drawn = []
         for part in redraw_noise(clean, noise, rng):
             tilt = 30 * ARCSEC * rng.standard_normal()
-            error = part.series.error + part.fixed[:, 0] * tilt
+            error = part.series.error + part.considered_design[:, 0] * tilt
             drawn.append(replace(part, series=replace(part.series, error=error)))
         fit = solve_joint(drawn, model, {"Qx": noise})
         rows = {f"run{i + 1}": left.whitened for i, left in enumerate(fit.residuals)}

@@ -365,7 +365,9 @@ def test_records_may_list_affected_unknowns():
         times = np.sort(rng.uniform(0, 40, 150)) + 0.05 * np.arange(150)
         common, own = np.cos(times), np.sin((k + 2) * times)
         y = 0.3 * common + 0.1 * rng.standard_normal(150) + 2e-2 * walk_of(rng, 2, 150, STEP)
-        compact.append(RecordData(times, 2, np.column_stack([own, common]), y, places=[k + 1, 0]))
+        compact.append(
+            RecordData(times, 2, np.column_stack([own, common]), y, column_indices=[k + 1, 0])
+        )
         design = np.zeros((150, 4))
         design[:, [k + 1, 0]] = np.column_stack([own, common])
         dense.append(RecordData(times, 2, design, y))
@@ -392,7 +394,7 @@ def test_flicker_sizes_are_estimated():
             np.ones((times.size, 1)),
             noise.white * rng.standard_normal(times.size)
             + draw_bias_noise(rng, times, Noise(0.0, flicker=noise.flicker), 0),
-            places=[0],
+            column_indices=[0],
         )
         for _ in range(2)
     ]

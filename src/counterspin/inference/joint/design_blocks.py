@@ -83,7 +83,8 @@ class DesignBlock(Observation):
             )
         whitener = series.whitener(noise)
         polynomials = series.polynomials(whitener.polynomials)
-        rows = whitener.apply(np.column_stack([polynomials, self.design, self.fixed, series.error]))
+        columns = [polynomials, self.design, self.considered_design, series.error]
+        rows = whitener.apply(np.column_stack(columns))
         return reduce_rows(rows, whitener.polynomials, self.design.shape[1])
 
     def drop_rows(self, mask: npt.NDArray[np.bool_]) -> DesignBlock:
@@ -93,7 +94,7 @@ class DesignBlock(Observation):
             self,
             series=self.series.drop_rows(mask),
             design=self.design[is_kept],
-            fixed=self.fixed[is_kept],
+            considered_design=self.considered_design[is_kept],
         )
 
     def update(
@@ -103,7 +104,7 @@ class DesignBlock(Observation):
 
         Columns of platform errors are proportional to the scale factor.
         """
-        all_columns = [*self.design.T, *self.fixed.T]
+        all_columns = [*self.design.T, *self.considered_design.T]
         symbols = [previous.unknowns[i].symbol for i in self.unknowns]
         symbols += [previous.considered[i].symbol for i in self.considered]
         ratio = scale_factor / self.scale_factor

@@ -248,7 +248,7 @@ def _squared_norms(series: ResidualSeries, error: AngleError, noise: Noise) -> A
     variance = series.total_noise(noise).sample_variance + random_walk_variance
     weights = series.count / np.maximum(variance, np.finfo(float).tiny)
     if series.order == 2:
-        max_angles = error.largest @ np.abs(error.root)
+        max_angles = error.max_values @ np.abs(error.root)
         bound = np.sum(weights) * (series.trajectory.radius * max_angles) ** 2
         if np.all(bound * (1.0 + error.standardised**2) < _CONSIDERED_NORM_SQUARED):
             return np.asarray(bound)

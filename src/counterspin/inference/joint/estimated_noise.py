@@ -62,7 +62,7 @@ def _estimate_noise(
         RecordData(
             block.series.time,
             block.series.order,
-            np.column_stack([block.design, block.fixed]),
+            np.column_stack([block.design, block.considered_design]),
             block.series.error,
             block.series.count,
             block.series.block_spacing,

@@ -157,7 +157,7 @@ def estimate(
         if rejects_outliers or stage not in (reject_outliers, reinstate_outliers):
             state = stage(state)
     full_fit = solve_joint(state.design_blocks, state.model, state.fit.noise)
-    return _finish(full_fit, state.fit, state.noise_estimates, state.outliers, state.series)
+    return _make_estimate(full_fit, state.fit, state.noise_estimates, state.outliers, state.series)
 
 
 def correct_series(
@@ -181,7 +181,7 @@ def reestimate(previous: Estimate, fit: JointFit, requests: Mapping[str, Noise])
         compressed_fit.design_blocks, compressed_fit.model, requests
     )
     compressed_fit = compressed_fit.with_noise(noise)
-    return _finish(
+    return _make_estimate(
         fit.with_noise(noise), compressed_fit, noise_estimates, previous.outliers, previous.series
     )
 
@@ -412,7 +412,7 @@ STAGES: Final = (
 )
 
 
-def _finish(
+def _make_estimate(
     fit: JointFit,
     compressed_fit: JointFit,
     noise_estimates: Mapping[str, NoiseEstimate],

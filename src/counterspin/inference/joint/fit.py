@@ -128,7 +128,8 @@ class JointFit:
         series, p = block.series, len(self.model.unknowns)
         estimate = self.solution_with_considered.estimate
         residuals = series.error - block.design @ estimate[list(block.unknowns)]
-        residuals = residuals - block.fixed @ estimate[[p + index for index in block.considered]]
+        considered = estimate[[p + index for index in block.considered]]
+        residuals = residuals - block.considered_design @ considered
         whitener = series.whitener(self.noise[series.accelerometer])
         if whitener.polynomials == 0:
             # The whitened differences contain no start errors; the unweighted residuals do.

@@ -101,7 +101,7 @@ def second_order_bound(series: ResidualSeries) -> float:
     if error is None:
         return 0.0
     max_angle_error = _BOUND_SDS * np.linalg.norm(error.root, axis=1) + np.abs(error.deviation)
-    max_angle_error = max_angle_error * error.largest
+    max_angle_error = max_angle_error * error.max_values
     harmonic = np.array([1, 1, 1, *np.repeat(error.harmonics, 2)])
     a, b, d = (float(np.sum(max_angle_error * harmonic**power)) for power in (0, 1, 3))
     scale = motion.radius * abs(motion.spindle.rate) ** (2 - series.order)

@@ -171,7 +171,7 @@ class Observation(ABC):
     unknowns: tuple[int, ...]  #: Indices of its unknowns in the model.
     design: Array  #: Columns of these unknowns, shape (n, m).
     considered: tuple[int, ...]  #: Indices of its considered terms in the model.
-    fixed: Array  #: Columns of these considered terms, shape (n, c).
+    considered_design: Array  #: Columns of these considered terms, shape (n, c).
 
     @property
     @abstractmethod
@@ -207,8 +207,8 @@ class Observation(ABC):
     def with_considered_estimated(self, count: int) -> Self:
         """Return the observation with considered terms as unknowns after `count` others."""
         indices = tuple(count + index for index in self.considered)
-        extended_observation = self.with_columns(indices, self.fixed.T)
-        return replace(extended_observation, considered=(), fixed=self.fixed[:, :0])
+        extended = self.with_columns(indices, self.considered_design.T)
+        return replace(extended, considered=(), considered_design=self.considered_design[:, :0])
 
     def with_columns(self, indices: Sequence[int], columns: Sequence[Array] | Array) -> Self:
         """Return the observation with additional unknowns: their indices and columns, (n,) each."""

@@ -44,7 +44,8 @@ class EvenlySampledData:
     kind: Sampling
     design: Array  #: Columns of the unknowns without the constant, shape (n, k).
     observations: Array  #: Differences over step^order, m/s^2, shape (n,).
-    places: NDArray[np.intp]  #: Indices of the columns among the unknowns of all records, (k,).
+    #: Indices of the columns among the unknowns of all records, shape (k,).
+    column_indices: NDArray[np.intp]
 
     @classmethod
     def of(
@@ -115,7 +116,7 @@ class TransformedRecord:
     stack: Array  #: [design | observations], (m, k + 1).
     row_variances: Array  #: Variance of each row per unit of each of `COMPONENTS`, (4, m).
     counts: Array  #: Number of rows of the transform in each group, (g,).
-    places: NDArray[np.intp]  #: Index of the first row of each group in `stack`, (g,).
+    first_rows: NDArray[np.intp]  #: Index of the first row of each group in `stack`, (g,).
     #: Covariance of the slowest rows for each bias component; None: independent.
     slow_covariances: tuple[Array | None, ...]
     walk_duration: float = 0.0
@@ -158,7 +159,7 @@ class TransformedRecord:
         """Return whitened rows, and the log-determinant of their covariance."""
         variance = np.asarray(ratios) @ self.row_variances
         rows = self.stack / np.sqrt(variance)[:, None]
-        log_det = float(self.counts @ np.log(variance[self.places]))
+        log_det = float(self.counts @ np.log(variance[self.first_rows]))
         covariances = [
             ratio * part
             for ratio, part in zip(ratios[2:], self.slow_covariances, strict=True)

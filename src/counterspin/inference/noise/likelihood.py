@@ -60,7 +60,7 @@ class RecordData:
     count: ArrayLike | None = None
     spacing: ArrayLike | None = None
     #: Indices of the columns among the p unknowns of all records, shape (k,); None: all of them.
-    places: ArrayLike | None = None
+    column_indices: ArrayLike | None = None
     walk_duration: float = 0.0  #: Duration of the bias walk before the record, s.
     #: Known additional variance of the samples, shape (n,) or a number.
     added_variance: float | Array = 0.0
@@ -197,7 +197,7 @@ class RestrictedLikelihood:
     """
 
     records: list[DifferencedRecord | TransformedRecord]
-    places: list[NDArray[np.intp]]  # indices of each record's columns among all unknowns
+    column_indices: list[NDArray[np.intp]]  # indices of each record's columns among all unknowns
     prior: Array  # [rows | values]
     triangles: dict[Variances, tuple[Array, float]] = field(default_factory=dict)
     scales: dict[Variances, float] = field(default_factory=dict)  # best log scale of the ratios
@@ -217,7 +217,9 @@ class RestrictedLikelihood:
         if len({record.order for record in reduced}) > 1:
             raise ValueError("records of different observables have different noise components")
         column_indices = [
-            np.arange(design.shape[1]) if r.places is None else np.asarray(r.places, np.intp)
+            np.arange(design.shape[1])
+            if r.column_indices is None
+            else np.asarray(r.column_indices, np.intp)
             for r, design in zip(records, design_matrices, strict=True)
         ]
         p = 1 + max((int(place.max()) for place in column_indices if place.size), default=-1)
@@ -248,9 +250,9 @@ class RestrictedLikelihood:
     def _select_unknowns(self, unknowns: NDArray[np.intp]) -> None:
         new_indices = np.full(self.prior.shape[1] - 1, -1)
         new_indices[unknowns] = np.arange(unknowns.size)
-        for index, columns in enumerate(self.places):
+        for index, columns in enumerate(self.column_indices):
             is_kept = new_indices[columns] >= 0
-            self.places[index] = new_indices[columns[is_kept]]
+            self.column_indices[index] = new_indices[columns[is_kept]]
             self.records[index] = self.records[index].with_columns(is_kept)
         self.prior = self.prior[:, np.append(unknowns, self.prior.shape[1] - 1)]
         self.triangles.clear()
@@ -297,15 +299,15 @@ class RestrictedLikelihood:
             np.concatenate, zip(*(record.row_steps for record in self.records), strict=True)
         )
         unit_ratio = 1 / (median(counts) * median(steps) ** (2 * self.order - 1))
-        return math.log(0.1 * unit_ratio * self._longest ** (-2.0 * self.order))
+        return math.log(0.1 * unit_ratio * self._max_rows ** (-2.0 * self.order))
 
     @property
     def walk_range(self) -> float:
         """Range of the log ratio in which the records distinguish random walk and white noise."""
-        return 2.0 * self.order * math.log(self._longest)
+        return 2.0 * self.order * math.log(self._max_rows)
 
     @property
-    def _longest(self) -> int:
+    def _max_rows(self) -> int:
         return max(record.n_rows for record in self.records)
 
     def without_added_variance(self) -> RestrictedLikelihood:
@@ -389,7 +391,7 @@ class RestrictedLikelihood:
         if ratios not in self.triangles:
             width = self.prior.shape[1]
             log_det, triangles = 0.0, [np.zeros((width, width))]
-            for record, indices in zip(self.records, self.places, strict=True):
+            for record, indices in zip(self.records, self.column_indices, strict=True):
                 rows, record_log_det = record.whitened(ratios)
                 log_det += record_log_det
                 # The triangle of all records is computed at the end.

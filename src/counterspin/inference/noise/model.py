@@ -178,8 +178,8 @@ class Differences:
         if not (spacing > 0).all():
             raise ValueError("the sample spacing must be positive")
         blocks = BlockSpans.of(time, counts, spacing)
-        if (blocks.half[1:] + blocks.half[:-1] >= steps).any():
-            row = int(np.argmax(blocks.half[1:] + blocks.half[:-1] >= steps))
+        if (blocks.half_length[1:] + blocks.half_length[:-1] >= steps).any():
+            row = int(np.argmax(blocks.half_length[1:] + blocks.half_length[:-1] >= steps))
             raise ValueError(
                 f"blocks {row} and {row + 1} overlap: {counts[row]:g} and {counts[row + 1]:g} "
                 f"samples {spacing[row]:g} s apart do not fit into {steps[row]:g} s"

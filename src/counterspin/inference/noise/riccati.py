@@ -45,7 +45,7 @@ class BlockSpans:
 
     time: Array  #: Mean time of the samples, s, increasing, shape (n,).
     count: Array  #: Number of samples, shape (n,).
-    half: Array  #: Time from the mean time to the last sample, s, shape (n,).
+    half_length: Array  #: Time from the mean time to the last sample, s, shape (n,).
     variance: Array  #: Variance of the times u of the samples about the mean time, s^2, shape (n,).
     mean_distance: Array  #: Mean of abs(u - u') over all pairs of samples, s, shape (n,).
     mean_cube: Array  #: Mean of abs(u - u')^3, s^3, shape (n,).
@@ -57,25 +57,25 @@ class BlockSpans:
         return cls(
             time=time,
             count=count,
-            half=(count - 1) * spacing / 2,
+            half_length=(count - 1) * spacing / 2,
             variance=(squared_count - 1) * spacing**2 / 12,
             mean_distance=(squared_count - 1) / (3 * count) * spacing,
             mean_cube=(squared_count - 1) * (3 * squared_count - 2) / (30 * count) * spacing**3,
         )
 
     @cached_property
-    def since_last(self) -> tuple[Array, Array]:
+    def times_since_last(self) -> tuple[Array, Array]:
         """Times from the last sample before a row to its mean time and its last sample, s, (n,)."""
-        last = self.time + self.half
-        before = np.concatenate(([self.time[0] - self.half[0]], last[:-1]))
+        last = self.time + self.half_length
+        before = np.concatenate(([self.time[0] - self.half_length[0]], last[:-1]))
         return self.time - before, last - before
 
     @cached_property
-    def changes(self) -> NDArray[np.bool_]:
+    def is_change(self) -> NDArray[np.bool_]:
         """Mask of the rows from the second on that differ from the previous row, (n-1,)."""
-        _, step = self.since_last
+        _, step = self.times_since_last
         is_change: NDArray[np.bool_] = np.diff(self.count) != 0.0
-        for durations in (step, self.half):
+        for durations in (step, self.half_length):
             is_change |= np.abs(np.diff(durations)) > _RELATIVE_TOLERANCE * step[1:]
         is_change[:2] = True
         return is_change
@@ -103,11 +103,13 @@ def filter_walk(
     white: White-noise variance of a sample, m^2, of all rows or of each, (n,).
     walk: Square of the random-walk coefficient, N^2, (m/s^2)^2/Hz; not both zero.
     """
-    to_mean, to_end = blocks.since_last
+    to_mean, to_end = blocks.times_since_last
     row_variance = white / blocks.count
     # Each of the first two rows is a segment of its own.
     changes = (
-        blocks.changes if np.ndim(white) == 0 else blocks.changes | (np.diff(row_variance) != 0.0)
+        blocks.is_change
+        if np.ndim(white) == 0
+        else blocks.is_change | (np.diff(row_variance) != 0.0)
     )
     starts = np.append(0, 1 + np.flatnonzero(changes))
     sizes = np.diff(starts, append=to_end.size)

@@ -423,7 +423,7 @@ def _initial_variances(likelihood: RestrictedLikelihood) -> Variances:
     row_variances, group_energies, group_counts = [], [], []
     for record in likelihood.records:
         assert isinstance(record, TransformedRecord)
-        first_rows = record.places
+        first_rows = record.first_rows
         row_variances.append(record.row_variances[:, first_rows])
         group_energies.append(np.add.reduceat(record.stack[:, -1] ** 2, first_rows))
         group_counts.append(record.counts)
@@ -572,11 +572,11 @@ def _compare_bands(likelihood: RestrictedLikelihood, best_maximum: Maximum) -> t
     """Return the ratio of the records' spectrum to that of the noise in each band."""
     estimate, _ = likelihood.estimate(best_maximum.log_scale, best_maximum.ratios)
     frequency, power, count = [], [], []
-    for record, indices in zip(likelihood.records, likelihood.places, strict=True):
+    for record, indices in zip(likelihood.records, likelihood.column_indices, strict=True):
         assert isinstance(record, TransformedRecord)
         rows, _ = record.whitened(best_maximum.variances)
         residuals = rows[:, -1] - rows[:, :-1] @ estimate[indices]
-        power.append(np.add.reduceat(residuals**2, record.places))
+        power.append(np.add.reduceat(residuals**2, record.first_rows))
         count.append(record.counts)
         number = np.cumsum(record.counts) - 0.5 * (record.counts - 1.0)
         frequency.append(number / (2.0 * record.length))

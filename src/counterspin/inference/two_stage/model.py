@@ -253,7 +253,7 @@ class Curvature(DesignBlock):
         curvature = parabola.gain[2][None, :] / sigma
         chi2 = parabola.chi2 if math.isfinite(parabola.chi2) else 0.0
         target = np.array([parabola.b2 / sigma])
-        factor, fixed = curvature @ self.design, curvature @ self.fixed
+        factor, fixed = curvature @ self.design, curvature @ self.considered_design
         return Block(factor, target, fixed, chi2, parabola.dof + 3, 2)
 
 
