@@ -78,7 +78,7 @@ def test_reference_groups_match_docstring():
     groups = FROM_CODE["groups"]()
     assert "calibrate" in groups["Commands as functions"]
     assert "TERMS" in groups["Physics"]
-    assert "RecordError" in groups["Mistakes"]
+    assert "RecordError" in groups["Errors and warnings"]
 
 
 def test_reference_describes_returned_objects():

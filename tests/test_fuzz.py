@@ -261,7 +261,7 @@ def test_page_states_fuzzing_limits():
         "harmful-files",
         "reads all of these and {} new cases, and sends {} cases to the application",
     )
-    (commands,) = find_numbers("harmful-files", "{} commands were killed")
+    (commands,) = find_numbers("harmful-files", "killed {} commands at each")
     assert [parse_number(number) for number in (seconds, gigabytes, new, n_requests, commands)] == [
         SECONDS,
         BYTES / 1e9,

@@ -1,13 +1,13 @@
-"""The parts of the reference that the code itself says: its commands and its public names.
+"""Sections of the reference that are generated from the code: commands and public names.
 
-A page has them where it says ``<!-- made from the code: commands -->``, ``... public names -->``,
-``... parts -->`` or ``... coverage -->``. Groups and order of the names are those of the package's
-docstring, and what their objects are made of follows from the types that these state: no name is
-written twice.
+The comments ``<!-- made from the code: commands -->``, ``... public names -->``, ``... parts -->``
+and ``... coverage -->`` of a page are replaced by these sections. The package's docstring defines
+the groups and the order of the names; the classes used by public objects follow from their type
+annotations.
 
-- `filled`: a page with what the code says in its place
-- `groups`, `parts`: the public names, and the classes of which their objects are made
-- `own_words`: names of types that annotations use
+- `filled`: page with its generated sections
+- `groups`, `parts`: public names, and the classes that public objects consist of
+- `type_names`: names of types that annotations use
 """
 
 import inspect
@@ -25,7 +25,7 @@ from pydantic import BaseModel
 
 import counterspin
 
-_PLACE = re.compile(r"^<!-- made from the code: (.+) -->$", re.MULTILINE)
+_PLACEHOLDER = re.compile(r"^<!-- made from the code: (.+) -->$", re.MULTILINE)
 
 
 # Commands
@@ -37,7 +37,7 @@ def commands() -> str:
 
     page = app.generate_docs(output_format="markdown")
     page = page[page.index("\n## counterspin ") :]
-    page = re.sub(r"(?<=\w) -m [\w.]+", "", page)  # it names the program that runs: Sphinx
+    page = re.sub(r"(?<=\w) -m [\w.]+", "", page)  # name of the running program, Sphinx
     return re.sub(r"^\*\*(Arguments|Parameters|Commands)\*\*:", r"\1", page, flags=re.MULTILINE)
 
 
@@ -45,37 +45,37 @@ def commands() -> str:
 
 
 def groups() -> dict[str, list[str]]:
-    """Return heading -> public names, as the package's docstring has them, and what is left."""
-    words = (counterspin.__doc__ or "").partition("\nGlossary")[0]
+    """Return the public names by heading of the package's docstring; the others come last."""
+    overview = (counterspin.__doc__ or "").partition("\nGlossary")[0]
     public = set(counterspin.__all__)
-    found: dict[str, list[str]] = {}
-    parts = re.split(r"\n\n", words)
-    for before, bullets in pairwise(parts):
+    names_by_heading: dict[str, list[str]] = {}
+    paragraphs = re.split(r"\n\n", overview)
+    for heading, bullets in pairwise(paragraphs):
         if bullets.startswith("- "):
             names = [n for n in re.findall(r"`(\w+)`", bullets) if n in public]
-            found[before.strip().rstrip(":")] = list(dict.fromkeys(names))
-    listed = {name for names in found.values() for name in names}
-    left = sorted(public - listed)
-    mistakes = [name for name in left if name.endswith(("Error", "Warning"))]
-    found["Mistakes"] = mistakes
-    found["More"] = [name for name in left if name not in mistakes]
-    return {heading: names for heading, names in found.items() if names}
+            names_by_heading[heading.strip().rstrip(":")] = list(dict.fromkeys(names))
+    listed = {name for names in names_by_heading.values() for name in names}
+    unlisted = sorted(public - listed)
+    errors = [name for name in unlisted if name.endswith(("Error", "Warning"))]
+    names_by_heading["Errors and warnings"] = errors
+    names_by_heading["Other names"] = [name for name in unlisted if name not in errors]
+    return {heading: names for heading, names in names_by_heading.items() if names}
 
 
 @cache
 def _modules() -> list[ModuleType]:
-    found = pkgutil.walk_packages(counterspin.__path__, "counterspin.")
-    return [import_module(module.name) for module in found if "__main__" not in module.name]
+    modules = pkgutil.walk_packages(counterspin.__path__, "counterspin.")
+    return [import_module(module.name) for module in modules if "__main__" not in module.name]
 
 
 @cache
-def own_words() -> set[str]:
-    """Return names of types that annotations use and no page tells: aliases, inner classes."""
+def type_names() -> set[str]:
+    """Return the names of types that annotations use: classes, aliases, inner classes."""
     return {name for module in _modules() for name in vars(module)}
 
 
 def _classes() -> dict[str, type]:
-    """Return the classes of the package by name; a name has one meaning in it."""
+    """Return the classes of the package by name; class names are unique."""
     return {
         name: value
         for module in _modules()
@@ -85,7 +85,7 @@ def _classes() -> dict[str, type]:
 
 
 def _annotations(value: object) -> Iterator[Any]:
-    """Yield the types of what an object offers: attributes, properties, what calls return."""
+    """Yield the types of the attributes, properties and return values of an object."""
     if inspect.isfunction(value):
         yield value.__annotations__.get("return")
     if not inspect.isclass(value):
@@ -94,30 +94,30 @@ def _annotations(value: object) -> Iterator[Any]:
         yield from (field.annotation for field in value.model_fields.values())
     for base in value.__mro__:
         if base.__module__.startswith("counterspin."):
-            own = getattr(base, "__annotations__", {})
-            yield from (kind for name, kind in own.items() if not name.startswith("_"))
+            annotations = getattr(base, "__annotations__", {})
+            yield from (hint for name, hint in annotations.items() if not name.startswith("_"))
             for name, member in vars(base).items():
                 if not name.startswith("_"):
                     if isinstance(member, property):
                         yield from _annotations(member.fget)
-                    inner = getattr(member, "__func__", None) or getattr(member, "func", None)
-                    yield from _annotations(inner or member if inner is not value else None)
+                    wrapped = getattr(member, "__func__", None) or getattr(member, "func", None)
+                    yield from _annotations(wrapped or member if wrapped is not value else None)
 
 
 def parts() -> list[type]:
-    """Return the classes, not public themselves, of which the public names' objects are made."""
+    """Return the non-public classes that public objects consist of."""
     classes = _classes()
-    todo = [getattr(counterspin, name) for name in counterspin.__all__]
-    seen, found = {id(value) for value in todo}, []
-    while todo:
-        for kind in _annotations(todo.pop(0)):
-            for name in re.findall(r"\w+", getattr(kind, "__name__", "") + str(kind)):
-                part = classes.get(name)
-                if part and not name.startswith("_") and id(part) not in seen:
-                    seen.add(id(part))
-                    found.append(part)
-                    todo.append(part)
-    return found
+    queue = [getattr(counterspin, name) for name in counterspin.__all__]
+    visited, non_public = {id(value) for value in queue}, []
+    while queue:
+        for hint in _annotations(queue.pop(0)):
+            for name in re.findall(r"\w+", getattr(hint, "__name__", "") + str(hint)):
+                cls = classes.get(name)
+                if cls and not name.startswith("_") and id(cls) not in visited:
+                    visited.add(id(cls))
+                    non_public.append(cls)
+                    queue.append(cls)
+    return non_public
 
 
 def _directive(name: str, value: object) -> str:
@@ -148,21 +148,21 @@ def public_names() -> str:
 
 
 def parts_of_objects() -> str:
-    """Return the reference of what their objects are made of, by room of the package."""
-    rooms: dict[str, dict[str, object]] = {}
-    for part in parts():
-        room = part.__module__.split(".")[1]
-        rooms.setdefault(room, {})[f"{part.__module__}.{part.__qualname__}"] = part
-    return "\n".join(_section(f"counterspin.{room}", rooms[room]) for room in sorted(rooms))
+    """Return the reference of the classes that public objects consist of, by package."""
+    packages: dict[str, dict[str, object]] = {}
+    for cls in parts():
+        package = cls.__module__.split(".")[1]
+        packages.setdefault(package, {})[f"{cls.__module__}.{cls.__qualname__}"] = cls
+    return "\n".join(_section(f"counterspin.{name}", packages[name]) for name in sorted(packages))
 
 
 def coverage() -> str:
-    """Return the tables of how often intervals hold, as the page on methods has them."""
+    """Return the coverage tables of the page on methods."""
     page = (Path(__file__).parents[1] / "methods.md").read_text(encoding="utf-8")
     return "\n".join(re.findall(r"^<!-- \w*coverage -->\n(.*?)^<!-- /", page, re.M | re.DOTALL))
 
 
-_MADE = {
+_GENERATORS = {
     "commands": commands,
     "public names": public_names,
     "parts": parts_of_objects,
@@ -171,5 +171,5 @@ _MADE = {
 
 
 def filled(page: str) -> str:
-    """Return a page with what the code says where it asks for it."""
-    return _PLACE.sub(lambda place: _MADE[place[1]](), page)
+    """Return a page with generated sections in place of its comments."""
+    return _PLACEHOLDER.sub(lambda placeholder: _GENERATORS[placeholder[1]](), page)

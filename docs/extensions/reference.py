@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 from docutils import nodes
-from from_code import filled, own_words
+from from_code import filled, type_names
 from pygments.lexers.special import TextLexer
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
@@ -76,7 +76,7 @@ def _on_missing(
     target = node["reftarget"]
     last = target.split(".")[-1]
     whole = _whole_names(env).get(last)
-    if whole is None and last in own_words():
+    if whole is None and last in type_names():
         return words
     if whole is None or whole == target:
         return None
