@@ -67,12 +67,15 @@ def simulate_forces(
         directions[pose_index],
         directions[np.minimum(pose_index + 1, n_poses - 1)],
     )
-    perpendicular = _perpendicular_directions(start_directions, end_directions)
+    perpendicular_directions = _perpendicular_directions(start_directions, end_directions)
     angle = turn_fraction * np.arctan2(
-        np.sum(perpendicular * end_directions, axis=1),
+        np.sum(perpendicular_directions * end_directions, axis=1),
         np.sum(start_directions * end_directions, axis=1),
     )
-    force = np.cos(angle)[:, None] * start_directions + np.sin(angle)[:, None] * perpendicular
+    force = (
+        np.cos(angle)[:, None] * start_directions
+        + np.sin(angle)[:, None] * perpendicular_directions
+    )
     frequencies = generator.uniform(*_TREMOR_FREQUENCIES, 3)
     phase = generator.uniform(0.0, 2.0 * math.pi, 3)
     tremor = _TREMOR_AMPLITUDE * np.sin(2.0 * np.pi * frequencies * times[:, None] + phase)
@@ -87,13 +90,17 @@ def _perpendicular_directions(start_directions: Array, end_directions: Array) ->
         - np.sum(start_directions * end_directions, axis=1)[:, None] * start_directions
     )
     norm = np.linalg.norm(projection, axis=1)
-    fallback = np.cross(start_directions, np.eye(3)[np.argmin(np.abs(start_directions), axis=1)])
-    fallback /= np.linalg.norm(fallback, axis=1)[:, None]
-    is_parallel = norm < _MIN_SINE
-    perpendicular: Array = np.where(
-        is_parallel[:, None], fallback, projection / np.where(is_parallel, 1.0, norm)[:, None]
+    fallback_directions = np.cross(
+        start_directions, np.eye(3)[np.argmin(np.abs(start_directions), axis=1)]
     )
-    return perpendicular
+    fallback_directions /= np.linalg.norm(fallback_directions, axis=1)[:, None]
+    is_parallel = norm < _MIN_SINE
+    directions: Array = np.where(
+        is_parallel[:, None],
+        fallback_directions,
+        projection / np.where(is_parallel, 1.0, norm)[:, None],
+    )
+    return directions
 
 
 def indicated_forces(
@@ -105,18 +112,23 @@ def indicated_forces(
     """
     assert campaign.triad is not None
     assert campaign.simulation is not None
-    names, truth = campaign.triad.accelerometers, campaign.simulation.truth.coefficients
-    coefficients = [truth.get(name, {}) for name in names]
+    names, coefficients_by_name = (
+        campaign.triad.accelerometers,
+        campaign.simulation.truth.coefficients,
+    )
+    coefficients = [coefficients_by_name.get(name, {}) for name in names]
     axes = np.array([campaign.accelerometers[name].mounting.matrix for name in names])
-    origin = reference_point(campaign)
-    temperature_offsets = np.array(record.temperature or (origin.temperature,)) - origin.temperature
+    reference = reference_point(campaign)
+    temperature_offsets = (
+        np.array(record.temperature or (reference.temperature,)) - reference.temperature
+    )
     knots = np.linspace(times[0], times[-1], len(temperature_offsets))
-    start_time = 0.0 if record.time is None else record.time - origin.time
+    start_time = 0.0 if record.time is None else record.time - reference.time
     chunks = []
     for start in range(0, len(times), _CHUNK_ROWS):
         chunk_times = times[start : start + _CHUNK_ROWS]
         chunk_size = len(chunk_times)
-        rows = TriadPoses(
+        chunk_poses = TriadPoses(
             accelerometers=names,
             names=("",) * chunk_size,
             axes=axes,
@@ -132,6 +144,8 @@ def indicated_forces(
             scatter=np.zeros(chunk_size),
             in_si=np.zeros((chunk_size, 3)),
         )
-        chunks.append(predict_indications(rows, coefficients, force[start : start + chunk_size]))
+        chunks.append(
+            predict_indications(chunk_poses, coefficients, force[start : start + chunk_size])
+        )
     forces = campaign.site.gravity * np.concatenate(chunks)
     return dict(zip(names, forces.T, strict=True))

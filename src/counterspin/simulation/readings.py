@@ -59,19 +59,19 @@ def compute_indications(
     """
     stations = group.rotate_head(group.stations_with(machine_terms), head_error)
     products = mean_products(stations, group.site)
-    indicated: Array = np.sum(products * _effective_coefficients(group, coefficients), axis=1)
-    return indicated
+    indications: Array = np.sum(products * _effective_coefficients(group, coefficients), axis=1)
+    return indications
 
 
 def _effective_coefficients(group: Readings, coefficients: Mapping[str, float]) -> Array:
     """Return the coefficients under the conditions of each reading, shape (n, terms)."""
-    nominal = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
-    effective = np.tile(nominal, (group.size, 1))
+    nominal_values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
+    effective_coefficients = np.tile(nominal_values, (group.size, 1))
     for symbol, value in coefficients.items():
         if condition_of(symbol):
             index = list(TERMS).index(coefficient_of(symbol))
-            effective[:, index] += value * group.design_factor(symbol)
-    return effective
+            effective_coefficients[:, index] += value * group.design_factor(symbol)
+    return effective_coefficients
 
 
 def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
@@ -98,7 +98,7 @@ def rate_errors(campaign: Campaign) -> Array:
 def draw_by_run(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
     """Return standard normal numbers, shape (n,), equal for all accelerometers of a run."""
     draws: dict[tuple[str, int], float] = {}
-    numbers = np.zeros(len(readings))
+    drawn_numbers = np.zeros(len(readings))
     first_indices: Counter[tuple[str, str]] = Counter()
     for index, reading in enumerate(readings):
         # Several readings of a table may have the same name; each is a separate position.
@@ -107,8 +107,8 @@ def draw_by_run(readings: Sequence[Reading], generator: np.random.Generator) -> 
         first_indices[key] += 1
         if position not in draws:
             draws[position] = float(generator.standard_normal())
-        numbers[index] = draws[position]
-    return numbers
+        drawn_numbers[index] = draws[position]
+    return drawn_numbers
 
 
 def positioning_uncertainties(campaign: Campaign) -> dict[str, float]:
@@ -308,7 +308,7 @@ class NoiselessReadings:
 
 
 def fill_description(
-    campaign: Campaign, noiseless: NoiselessReadings, generator: np.random.Generator
+    campaign: Campaign, noiseless_readings: NoiselessReadings, generator: np.random.Generator
 ) -> str | None:
     """Return the description of a campaign with simulated values of the readings of its runs.
 
@@ -321,7 +321,7 @@ def fill_description(
     runs = [run for run in document.get("runs", []) if is_reading(run)]
     if not any("reading" in run for run in runs):
         return None
-    readings, poses = iter(noiseless.readings), iter(noiseless.poses)
+    readings, poses = iter(noiseless_readings.readings), iter(noiseless_readings.poses)
     search_start, edited_text = 0, text
     for run in runs:
         if "reading" not in run:
@@ -340,14 +340,14 @@ def fill_description(
                     for text in repeat_texts
                 ]
             )
-        run["reading"] = _format_like(run["reading"], new_texts)
+        run["reading"] = _restore_structure(run["reading"], new_texts)
         for old_text, new_text in zip(chain(*old_texts), chain(*new_texts), strict=True):
             position = edited_text.find(f'"{old_text}"', search_start)
             if position >= 0:
                 end = position + len(old_text) + 2
                 edited_text = f'{edited_text[:position]}"{new_text}"{edited_text[end:]}'
                 search_start = position + len(new_text)
-    return edited_text if _is_toml_of(edited_text, document) else format_document(document)
+    return edited_text if _parses_to(edited_text, document) else format_document(document)
 
 
 def _pose_readings(pose: Sequence[Reading], names: Iterable[str]) -> Iterator[Reading]:
@@ -369,17 +369,21 @@ def _repeat_texts(reading: Any) -> list[list[str]]:
     return [[cell] if isinstance(cell, str) else cell for cell in cells]
 
 
-def _format_like(reading: Any, new_texts: list[list[str]]) -> Any:
+def _restore_structure(reading: Any, new_texts: list[list[str]]) -> Any:
     """Return new texts with the structure of `reading`."""
     cells = list(reading.values()) if isinstance(reading, dict) else [reading]
-    formatted: list[Any] = [
+    formatted_cells: list[Any] = [
         repeat_texts[0] if isinstance(cell, str) else repeat_texts
         for cell, repeat_texts in zip(cells, new_texts, strict=True)
     ]
-    return dict(zip(reading, formatted, strict=True)) if isinstance(reading, dict) else formatted[0]
+    return (
+        dict(zip(reading, formatted_cells, strict=True))
+        if isinstance(reading, dict)
+        else formatted_cells[0]
+    )
 
 
-def _is_toml_of(text: str, document: Mapping[str, Any]) -> bool:
+def _parses_to(text: str, document: Mapping[str, Any]) -> bool:
     try:
         return parse_toml(text) == document
     except ValueError:
@@ -390,42 +394,44 @@ def _simulated_reading_text(
     old_text: str, campaign: Campaign, reading: Reading, generator: np.random.Generator
 ) -> str:
     """Return the text of a reading with its simulated value, keeping the unit and the ±."""
-    output, zero = campaign.accelerometers[reading.accelerometer].output, 0.0
+    output, output_at_zero = campaign.accelerometers[reading.accelerometer].output, 0.0
     match = _NUMBER_PATTERN.fullmatch(old_text)
     assert match is not None
     unit_text = match[2] or (output.unit if output else "g")
     unit = re.sub(rf"^{PLUS_MINUS}{NUMBER}\s*", "", unit_text)
     if output is None:
-        per_g = unit_factor("g", unit, gravity=apply_true_inputs(campaign).gravity.value)
+        output_per_g = unit_factor("g", unit, gravity=apply_true_inputs(campaign).gravity.value)
     else:
         unit_scale = unit_factor(output.unit, unit)
-        per_g, zero = unit_scale * output.sensitivity, unit_scale * output.zero
+        output_per_g, output_at_zero = unit_scale * output.sensitivity, unit_scale * output.zero
     stated_u = parse_quantity(f"0 {unit_text}", unit).u
-    return f"{_noisy_reading(campaign, reading, (per_g, zero), stated_u, generator)!r} {unit_text}"
+    scale_and_zero = (output_per_g, output_at_zero)
+    value = _noisy_reading(campaign, reading, scale_and_zero, stated_u, generator)
+    return f"{value!r} {unit_text}"
 
 
 def _noisy_reading(
     campaign: Campaign,
     reading: Reading,
-    scale: tuple[float, float],
+    scale_and_zero: tuple[float, float],
     stated_u: float,
     generator: np.random.Generator,
 ) -> float:
     """Return a reading with noise, rounded to a few digits beyond its uncertainty.
 
-    scale: Output per g, and output at 0 g, in the unit of the reading.
+    scale_and_zero: Output per g, and output at 0 g, in the unit of the reading.
     stated_u: Stated standard uncertainty, in the unit of the reading.
     """
-    per_g, zero = scale
+    output_per_g, output_at_zero = scale_and_zero
     assert campaign.simulation is not None
     true_noise = campaign.simulation.truth.reading_noise.get(reading.accelerometer)
-    u = stated_u if true_noise is None else true_noise * abs(per_g)
-    value = zero + reading.value * per_g + u * float(generator.standard_normal())
+    u = stated_u if true_noise is None else true_noise * abs(output_per_g)
+    value = output_at_zero + reading.value * output_per_g + u * float(generator.standard_normal())
     return round(value, _EXTRA_DIGITS - math.floor(math.log10(u))) if u > 0.0 else value
 
 
 def fill_table(
-    campaign: Campaign, noiseless: NoiselessReadings, generator: np.random.Generator
+    campaign: Campaign, noiseless_readings: NoiselessReadings, generator: np.random.Generator
 ) -> tuple[Path, Any] | None:
     """Return the file of [readings], and its table as a polars frame with simulated values.
 
@@ -439,13 +445,13 @@ def fill_table(
     settings = ReadingsSettings.model_validate(document["readings"])
     path = campaign.folder / settings.file
     required_dialect = settings.model_copy(update={"decimal": None, "sheet": None}).dialect
-    stated_names = [key for key, value in vars(required_dialect).items() if value is not None]
-    if stated_names:
+    stated_keys = [key for key, value in vars(required_dialect).items() if value is not None]
+    if stated_keys:
         raise CampaignError(
             str(campaign.path),
             [
                 f"readings.{key}: a simulated table cannot have this key; omit it"
-                for key in stated_names
+                for key in stated_keys
             ],
             code="conflicting-keys",
         )
@@ -465,18 +471,18 @@ def fill_table(
         for columns in view.value_columns("reading").values()
         for column in columns
     }
-    posed_flags = [is_pose(table.make_run(row, index, ())) for index, row in rows]
+    is_posed_row = [is_pose(table.make_run(row, index, ())) for index, row in rows]
     # The readings of the table are last.
-    first_reading = len(noiseless.readings) - sum(
+    first_reading = len(noiseless_readings.readings) - sum(
         len(view.value_columns("reading"))
-        for (_, row), is_posed in zip(rows, posed_flags, strict=True)
+        for (_, row), is_posed in zip(rows, is_posed_row, strict=True)
         for view in ([] if is_posed else table.mounting_views(row))
     )
     readings, poses = (
-        iter(noiseless.readings[first_reading:]),
-        iter(noiseless.poses[-sum(posed_flags) or None :]),
+        iter(noiseless_readings.readings[first_reading:]),
+        iter(noiseless_readings.poses[-sum(is_posed_row) or None :]),
     )
-    for (index, row), is_posed in zip(rows, posed_flags, strict=True):
+    for (index, row), is_posed in zip(rows, is_posed_row, strict=True):
         row_readings = (
             _pose_readings(next(poses), table.value_columns("reading")) if is_posed else readings
         )

@@ -42,10 +42,10 @@ def simulation_problems(campaign: Campaign) -> list[str]:
     if campaign.simulation is None:
         return []
     truth = campaign.simulation.truth
-    is_stated = truth.noise is campaign.noise
+    is_inherited = truth.noise is campaign.noise
     problems = [
-        f"{'noise' if is_stated else 'truth.noise'}.{key}: a simulation requires the true value"
-        + ("; write it in [truth.noise]" if is_stated else "")
+        f"{'noise' if is_inherited else 'truth.noise'}.{key}: a simulation requires the true value"
+        + ("; write it in [truth.noise]" if is_inherited else "")
         for key in StatedNoise.model_fields
         if getattr(truth.noise, key) == ESTIMATE
     ]
@@ -83,7 +83,7 @@ def _check_steady_rate(spindle: Spindle, duration: float | None) -> Iterator[str
             f"harmonic {spindle.highest_harmonic} of the ripple is above "
             f"{_MAX_RIPPLE_HARMONIC}, the highest harmonic that can be simulated"
         )
-    ripple_sum = sum(abs(ripple_sum.amplitude / spindle.rate) for ripple_sum in spindle.ripples)
+    ripple_sum = sum(abs(ripple.amplitude / spindle.rate) for ripple in spindle.ripples)
     rate_change = ripple_sum + abs(spindle.drift) * (duration or 0.0)
     if not rate_change < _MAX_RATE_CHANGE:
         yield (
@@ -248,7 +248,7 @@ def check_size(
             (f'run "{record.name}"', 0.0, record_duration(record, campaign.simulation.poses), 1)
             for record in (campaign.triad.records if campaign.triad else ())
         ]
-    sizes = [
+    row_counts = [
         (
             (1 if purpose == "simulation" else n_accelerometers)
             * count_computed_rows(rate, duration, sampling_rate, is_averaged=purpose == "forecast"),
@@ -258,7 +258,7 @@ def check_size(
         for location, rate, duration, n_accelerometers in record_lengths
         if duration is not None
     ]
-    total_rows = sum(rows for rows, _ in sizes)
+    total_rows = sum(rows for rows, _ in row_counts)
     n_records = len(campaign.runs) * len(campaign.accelerometers)
     if purpose != "simulation" and n_records > MAX_RECORDS:
         text = f"runs: {n_records} records are too many; a {purpose} can have at most {MAX_RECORDS}"
@@ -271,11 +271,11 @@ def check_size(
     if purpose == "simulation":
         problems = [
             f"{record_text} makes {rows:.3g} {advice}"
-            for rows, record_text in sizes
+            for rows, record_text in row_counts
             if rows > max_rows
         ]
     elif total_rows > max_rows:
-        rows, text = max(sizes)
+        rows, text = max(row_counts)
         problems = [f"{text} makes {rows:.3g} of the {total_rows:.3g} {advice}"]
     else:
         problems = []
@@ -332,9 +332,11 @@ def apply_inputs_to_readings(campaign: Campaign, group: Readings) -> Readings:
         rate_clock_input(campaign, reading) for reading in campaign.readings
     ):
         stated_clock = campaign.rate_clock if symbol == RATE_CLOCK else campaign.clock
-        assumed = stated_clock.value if stated_clock else 0.0
+        stated_error = stated_clock.value if stated_clock else 0.0
         name = f"{owner}.{symbol}" if owner else symbol
-        group = perturb_input(group, name, inputs.get((owner, symbol), assumed) - assumed, symbols)
+        group = perturb_input(
+            group, name, inputs.get((owner, symbol), stated_error) - stated_error, symbols
+        )
     return group
 
 

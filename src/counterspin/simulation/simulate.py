@@ -109,30 +109,34 @@ def simulate(
     folder = Path(folder)
     targets = _record_targets(campaign, folder)
     readings, head_errors = true_readings(campaign)
-    noise, noiseless = (
+    noise, noiseless_readings = (
         reading_generator(campaign, 1),
         NoiselessReadings(readings, true_poses(campaign)),
     )
-    has_readings = bool(readings or noiseless.poses)
-    text = fill_description(campaign, noiseless, noise) if has_readings else None
-    if (table := fill_table(campaign, noiseless, noise) if has_readings else None) is not None:
+    has_readings = bool(readings or noiseless_readings.poses)
+    text = fill_description(campaign, noiseless_readings, noise) if has_readings else None
+    if (
+        table := fill_table(campaign, noiseless_readings, noise) if has_readings else None
+    ) is not None:
         targets = (*targets, *_targets_in_folder(campaign, folder, {"readings.file": table[0]}))
     if text is None and campaign.source is not None and campaign.source.in_memory:
         text = campaign.source.text
-    description = folder / DESCRIPTION_NAME
+    description_path = folder / DESCRIPTION_NAME
     source_file = campaign.source.file if campaign.source else campaign.path
     is_source = (
-        description.exists() and source_file is not None and description.samefile(source_file)
+        description_path.exists()
+        and source_file is not None
+        and description_path.samefile(source_file)
     )
-    if description.exists() and not is_source and not _is_simulated(description):
+    if description_path.exists() and not is_source and not _is_simulated(description_path):
         raise ExistingFileError(
-            f"{description} does not belong to a simulated campaign, so its files were not "
+            f"{description_path} does not belong to a simulated campaign, so its files were not "
             "overwritten. Choose another output folder"
         )
-    replaced_descriptions = [description] if text is not None or not is_source else []
+    replaced_descriptions = [description_path] if text is not None or not is_source else []
     static_records = _static_record_copy(campaign, folder)
     _check_targets(
-        (*targets, *static_records, *replaced_descriptions), description, overwrite=overwrite
+        (*targets, *static_records, *replaced_descriptions), description_path, overwrite=overwrite
     )
     for target_folder in (folder, *(target.parent for target in (*targets, *static_records))):
         make_folder(target_folder)
@@ -146,9 +150,11 @@ def simulate(
     )
     # Write the description first: it identifies the records of an interrupted simulation.
     if text is not None:
-        write_text(description, text, overwrite=overwrite)
+        write_text(description_path, text, overwrite=overwrite)
     elif not is_source:
-        write_atomically(description, partial(shutil.copyfile, campaign.path), overwrite=overwrite)
+        write_atomically(
+            description_path, partial(shutil.copyfile, campaign.path), overwrite=overwrite
+        )
     for target, static_record in static_records.items():
         copy_record(static_record, target, overwrite=overwrite)
     for n_written, (frame, target) in enumerate(zip(frames, targets, strict=True), start=1):
@@ -160,17 +166,18 @@ def simulate(
     return targets
 
 
-def _check_targets(paths: Sequence[Path], description: Path, *, overwrite: bool) -> None:
+def _check_targets(paths: Sequence[Path], description_path: Path, *, overwrite: bool) -> None:
     """Raise CounterspinError for existing files that must not be replaced."""
-    existing = [path for path in paths if path.exists()]
-    if existing and not description.exists():
+    existing_files = [path for path in paths if path.exists()]
+    if existing_files and not description_path.exists():
         raise ExistingFileError(
-            f"{existing[0]} already exists, and its folder has no {DESCRIPTION_NAME} that "
+            f"{existing_files[0]} already exists, and its folder has no {DESCRIPTION_NAME} that "
             "describes a simulation, so the file was not overwritten. Choose another output folder"
         )
-    if existing and not overwrite:
+    if existing_files and not overwrite:
         raise ExistingFileError(
-            f"{existing[0]} already exists; choose another output folder, or set `overwrite=True`"
+            f"{existing_files[0]} already exists; choose another output folder, or set "
+            "`overwrite=True`"
         )
 
 
@@ -195,12 +202,12 @@ def _simulate_in_memory(campaign: Campaign) -> Campaign:
             str(campaign.path), ["readings: a readings table can only be simulated into a folder"]
         )
     readings, head_errors = true_readings(campaign)
-    noise, noiseless = (
+    noise, noiseless_readings = (
         reading_generator(campaign, 1),
         NoiselessReadings(readings, true_poses(campaign)),
     )
-    has_readings = bool(readings or noiseless.poses)
-    text = fill_description(campaign, noiseless, noise) if has_readings else None
+    has_readings = bool(readings or noiseless_readings.poses)
+    text = fill_description(campaign, noiseless_readings, noise) if has_readings else None
     if text is not None:
         source = replace(source, document=parse_toml(text))
     files: dict[Path, None] = dict.fromkeys(run.record for run in campaign.runs)
@@ -261,8 +268,10 @@ def _simulate_mean_records(campaign: Campaign, head_errors: Array) -> Iterator[p
                     columns[campaign.angle.name] = campaign.angle.to_file_units(angle)
                 columns |= _temperature_column(campaign.temperature, reading.temperature, times)
             observable = accelerometer.observable
-            model = Noise.from_sizes(noise, observable).without_bias_instability
-            signal = add_noise(generator, times, signal, model, observation.ORDERS[observable])
+            noise_model = Noise.from_sizes(noise, observable).without_bias_instability
+            signal = add_noise(
+                generator, times, signal, noise_model, observation.ORDERS[observable]
+            )
             channel = accelerometer.channel
             columns[channel.name] = channel.to_file_units(signal * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
@@ -282,12 +291,12 @@ def _simulate_pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
             timestamps = add_white_noise(generator, times, noise["timing"])
             columns[campaign.time.name] = timestamps / campaign.time.factor
         columns |= _temperature_column(campaign.temperature, record.temperature, times)
-        indicated = indicated_forces(apply_true_inputs(campaign), record, times, force)
-        model = Noise.from_sizes(noise, "specific_force").without_bias_instability
-        for name, signal in indicated.items():
+        signals = indicated_forces(apply_true_inputs(campaign), record, times, force)
+        noise_model = Noise.from_sizes(noise, "specific_force").without_bias_instability
+        for name, signal in signals.items():
             channel = campaign.accelerometers[name].force
             assert channel is not None
-            noisy_signal = add_noise(generator, times, signal, model, SPECIFIC_FORCE)
+            noisy_signal = add_noise(generator, times, signal, noise_model, SPECIFIC_FORCE)
             columns[channel.name] = channel.to_file_units(
                 noisy_signal * gravity_ratio(campaign, channel)
             )
@@ -300,14 +309,14 @@ def _temperature_column(
     """Return the temperature column for temperatures at equal intervals, K; empty without them."""
     if column is None or not temperatures:
         return {}
-    scale = replace(column, offset=TEMPERATURE_SCALES[column.unit or "degC"])
+    file_column = replace(column, offset=TEMPERATURE_SCALES[column.unit or "degC"])
     knots = np.linspace(times[0], times[-1], len(temperatures))
-    return {column.name: scale.to_file_units(np.interp(times, knots, temperatures))}
+    return {column.name: file_column.to_file_units(np.interp(times, knots, temperatures))}
 
 
-def _is_simulated(description: Path) -> bool:
+def _is_simulated(description_path: Path) -> bool:
     try:
-        return "truth" in load_document(description)
+        return "truth" in load_document(description_path)
     except CampaignError:
         return False
 
@@ -336,8 +345,8 @@ def _static_record_copy(campaign: Campaign, folder: Path) -> dict[Path, Path | M
             str(campaign.path), [f"noise.from: {stated_path} {text}"], code="path-outside-folder"
         )
     target, record = folder / stated_path, campaign.record_at(resolved_path)
-    same_file = isinstance(record, Path) and target.exists() and target.samefile(record)
-    return {} if same_file else {target: record}
+    is_same_file = isinstance(record, Path) and target.exists() and target.samefile(record)
+    return {} if is_same_file else {target: record}
 
 
 def _targets_in_folder(
@@ -416,14 +425,14 @@ def _simulate_outputs(
     """Return the noiseless output of the navigation computer for each accelerometer."""
     assert campaign.simulation is not None
     truth = campaign.simulation.truth
-    shared = truth.runs[run.name].shared
+    platform_values = truth.runs[run.name].shared
     signals = {}
     for name, accelerometer in campaign.accelerometers.items():
         signal = simulation.simulate_record(
             trajectory,
             accelerometer.mounting,
             truth.coefficients.get(name, {}),
-            shared,
+            platform_values,
             times,
             accelerometer.observable,
             attitude=run.attitude,
@@ -434,7 +443,7 @@ def _simulate_outputs(
     site = replace(
         campaign.site, removed_gravity=None
     )  # the residual gravity also affects its velocity
-    perturbed_trajectory = perturb_trajectory(replace(trajectory, site=site), shared)
+    perturbed_trajectory = perturb_trajectory(replace(trajectory, site=site), platform_values)
     errors = []
     for name, accelerometer in campaign.accelerometers.items():
         observable = accelerometer.observable
