@@ -38,7 +38,7 @@ CODES: Final[Mapping[str, str]] = {
     "missing-value": "A value, list or name is missing or empty.",
     "invalid-value": "A value is not valid; the message states the rule that it violates.",
     "wrong-type": "A value has the wrong type, such as a number instead of text.",
-    "value-out-of-range": "A value is not finite, not plausible or outside its range.",
+    "value-out-of-range": "A value is infinite, not a number, implausible or out of range.",
     "conflicting-values": "Values contradict each other.",
     "unknown-choice": "A value is not one of the listed choices.",
     "invalid-date": "A value is not a date.",

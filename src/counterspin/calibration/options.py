@@ -94,7 +94,7 @@ def parse_options(arguments: Sequence[str]) -> tuple[Method, TwoStageOptions, tu
             without.append(value)
         else:
             raise CampaignError(
-                "the options of the result",
+                "the options recorded in the result",
                 [f"{argument}: this version does not have this option"],
                 code="newer-version",
             )

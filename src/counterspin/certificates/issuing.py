@@ -511,8 +511,8 @@ def _verify_page_signature(
         )
     if status == "invalid":
         raise RecordError(
-            f"{path}: the pages were not signed by the holder of {signer_certificate}; the "
-            "attached XML was",
+            f"{path}: the holder of {signer_certificate} signed the attached XML, but not "
+            "the pages",
             code="invalid-signature",
         )
     return status

@@ -420,8 +420,8 @@ def relate_results(
     elif first_result.model != second_result.model:
         assumptions.append(
             "One of the results was computed with the paper's equations as printed, which "
-            "estimate a different quantity. The uncertainty of a difference is therefore of "
-            "little use."
+            "estimate a different quantity. The uncertainty of a difference is therefore not "
+            "meaningful."
         )
     elif efficient_index is None:
         assumptions.append(

@@ -288,8 +288,8 @@ class Solution:
         """Return the part of additional columns that the unknowns cannot explain.
 
         data: In the blocks' stacked rows, shape (n, c).
-        priors: In the rows of `whiten_priors`, shape (p, c); rows of unknowns without a prior, and
-            of exactly known unknowns, are ignored.
+        priors: In the rows of `whiten_priors`, shape (p, c); only unknowns with a prior count, and
+        none that is known exactly.
         Returns: shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
         """
         stacked, rotation = self._stack_rows(data, priors), self._factors.rotation

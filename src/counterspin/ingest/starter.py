@@ -55,8 +55,8 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
 
     if test == "poses":
         raise CounterspinError(
-            "no example with poses is available; create a campaign from a log of your sensor by "
-            "naming the log file",
+            "no example with poses is available; give the log file of your sensor to create a "
+            "campaign",
             code="wrong-usage",
         )
     if test not in _EXAMPLES:

@@ -67,7 +67,7 @@ def operating(
     RecordError
         If the file or a column cannot be read.
     """
-    path = to_path(file, "a table, or its file")
+    path = to_path(file, "a table, or the path of its file")
     if (input is None) == (time is None):
         raise UsageError("operating", ["give an input column, or a time column for a warm-up test"])
     if output in (input, time):

@@ -247,7 +247,9 @@ def _reject_estimated_noise(noise: Mapping[str, Any], problems: Problems) -> dic
     estimated_keys = [key for key, size in noise.items() if size == ESTIMATE]
     for key in estimated_keys:
         problems.add(
-            ("noise", key), "a plan cannot estimate the noise; state a number", "missing-value"
+            ("noise", key),
+            "the noise cannot be estimated from a plan; give its value",
+            "missing-value",
         )
     return {key: size for key, size in noise.items() if key not in estimated_keys}
 
@@ -278,8 +280,8 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
         if getattr(noise, key) != 0.0:
             problems.add(
                 ("noise", key),
-                "the search for runs cannot model a drifting bias; omit this noise here, add it "
-                "to the planned campaign, and run a forecast of that campaign",
+                "the search for runs cannot model a drifting bias; leave this component out here, "
+                "add it to the planned campaign, and run a forecast of that campaign",
             )
     for name, accelerometer in campaign.accelerometers.items():
         sizes = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)

@@ -41,7 +41,7 @@ COLUMNS: Final = (
 class _TableFile(SettingsSection):
     file: Annotated[Text, AfterValidator(check_file_name)] = key_field(
         f"name of the file ({', '.join(TABLE_ENDINGS)}); .xlsx requires the "
-        "[extra](quickstart.md#extras) `excel`",
+        "`excel` [extra](quickstart.md#extras)",
         "readings.csv",
     )
 

@@ -527,7 +527,7 @@ def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> Col
     stream.seek(0)
     if first_bytes.startswith((b"\xd0\xcf\x11\xe0", b"PK")):
         raise RecordError(
-            f"{path}: this is a workbook; save it as .xlsx without a password.",
+            f"{path}: this workbook is old or has a password; save it as .xlsx without a password.",
             code="wrong-file-type",
         )
     if first_bytes.lstrip().startswith(b"<"):

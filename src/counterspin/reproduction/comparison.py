@@ -150,8 +150,8 @@ def second_stage_rows() -> tuple[Row, ...]:
             k_ii_uncertainty(_fit_exact_second_stage(plan_runs)),
             "g/g^2",
             (
-                "correct for the stated plan; with the factor 1/4, the printed sigma(b2) would "
-                "exceed the bound"
+                "the equation gives this value for the stated plan; with the factor 1/4, the "
+                "printed sigma(b2) would exceed the bound"
             ),
             ".3e",
         ),

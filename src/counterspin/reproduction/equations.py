@@ -91,7 +91,7 @@ def _expansion_rows() -> tuple[Row, ...]:
         ),
         Row(
             "eq13.k_iii_constant",
-            "Eq. 13: K_III constant at the strobes, 2 pi rad/s",
+            "Eq. 13: the K_III term is constant at the strobes, rate 2 pi rad/s",
             TABLE_1["K_III"] * float(np.mean(printed_k_iii_error)),
             float(k_iii_fit.coefficients[0]),
             "m",

@@ -141,7 +141,7 @@ class StudySettings(SettingsSection):
     )
     seed: Annotated[int, Field(ge=0)] = key_field("seed of the random number generator", 1, 1)
     vary: Annotated[dict[str, Any], Section(dict[str, DistributionSettings])] = key_field(
-        "quantities that vary from trial to trial, with their distributions by name",
+        "quantities that vary from trial to trial: a table with the distribution of each",
         {"centrifuge.radius": {"normal": "2.5 ± 1e-5 m"}},
         absent="nothing",
         default_factory=dict,
