@@ -72,7 +72,7 @@ def render_pdf(
     date: datetime,
     document_type: str = "a page",
     attachments: Sequence[Attachment] = (),
-    page_marks: PageMarks = _NO_MARKS,
+    marks: PageMarks = _NO_MARKS,
 ) -> bytes:
     """Set blocks as a PDF/A-3a (ISO 19005-3) and PDF/UA-1 (ISO 14289-1).
 
@@ -86,7 +86,7 @@ def render_pdf(
     if len(set(names)) < len(names):
         raise ValueError(f"each attachment must have a unique name; got {', '.join(names)}")
     utc_date = date.astimezone(UTC).replace(microsecond=0)
-    layout_data = _make_layout_data(blocks, title, identifier, utc_date, page_marks)
+    layout_data = _make_layout_data(blocks, title, identifier, utc_date, marks)
     layout_data |= {
         "mark": file_mark(document_type),
         "attachments": [
@@ -104,7 +104,7 @@ def render_pdf(
         f"attachment-{index}.json": _encode_bytes(attachment.data)
         for index, attachment in enumerate(attachments)
     }
-    return _compile_pdf(layout_data, files | _logo_files(page_marks.logo), utc_date)
+    return _compile_pdf(layout_data, files | _logo_files(marks.logo), utc_date)
 
 
 def render_page_images(
