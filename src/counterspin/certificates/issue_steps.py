@@ -151,5 +151,5 @@ def _page_settings(issue: Issue) -> dict[str, Any]:
         "title": page_title(issue),
         "identifier": issue.identifier,
         "date": issue.date,
-        "page_marks": PageMarks("DRAFT" if issue.is_draft else "", issue.logo),
+        "marks": PageMarks("DRAFT" if issue.is_draft else "", issue.logo),
     }
