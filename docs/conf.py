@@ -1,7 +1,7 @@
-"""How Sphinx makes the site of these pages: `make docs` builds it in build/site.
+"""Sphinx configuration: `make docs` builds the site in build/site.
 
-The pages are the Markdown files beside this one, which stay readable as they are; what is added
-to them, and how, is in `extensions/`. The site asks no other machine for anything.
+The pages are the Markdown files in this folder, which remain readable without Sphinx.
+`extensions/` adds generated content. The site loads nothing from other hosts.
 """
 
 import os
@@ -12,9 +12,9 @@ from counterspin import __version__
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
-from published_schemas import published
+from published_schemas import write_schemas
 
-# Notebooks draw in processes of their own, which take it from here.
+# Notebook kernels inherit these variables.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("SOURCE_DATE_EPOCH", "1772323200")
 
@@ -40,12 +40,12 @@ root_doc = "index"
 nitpicky = True
 suppress_warnings = ["config.cache"]
 
-# Pages: as a Git host shows them, with its anchors for headings.
+# Pages: heading anchors as on a Git host.
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 4
 myst_links_external_new_tab = False
 
-# Gallery: each page is run from an empty state; what fails there fails the build.
+# Gallery: each page runs in a new kernel; an error fails the build.
 nb_execution_mode = "auto"
 nb_execution_timeout = 600  # on a busy machine
 nb_execution_raise_on_error = True
@@ -65,8 +65,8 @@ autodoc_type_aliases = {
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 
-# Where types of other packages are told. The lists are ours, and short: nothing is fetched.
-_TOLD = {
+# Documentation of other packages. The inventories are stored here: nothing is downloaded.
+_EXTERNAL_DOCS = {
     "python": "https://docs.python.org/3/",
     "numpy": "https://numpy.org/doc/stable/",
     "polars": "https://docs.pola.rs/api/python/stable/reference/",
@@ -74,18 +74,18 @@ _TOLD = {
 }
 _INVENTORIES = Path(__file__).parent / "inventories"
 intersphinx_mapping = {
-    name: (address, str(_INVENTORIES / f"{name}.txt")) for name, address in _TOLD.items()
+    name: (address, str(_INVENTORIES / f"{name}.txt")) for name, address in _EXTERNAL_DOCS.items()
 }
 
 html_theme = "furo"
 html_title = f"counterspin {version}"
 html_static_path = ["theme"]
-html_extra_path = [str(published())]  # schemas/campaign.json and the others
+html_extra_path = [str(write_schemas())]  # schemas/*.json
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"
 html_copy_source = False
 html_show_sourcelink = False
-html_show_search_summary = False  # a file that is opened from a disk may read no other
+html_show_search_summary = False  # unavailable for file:// pages
 html_theme_options = {"navigation_with_keys": True}
 pygments_style = "a11y-high-contrast-light"
 pygments_dark_style = "a11y-high-contrast-dark"

@@ -1,8 +1,7 @@
-"""Whether uncertainties and intervals hold, by observable and noise: `make coverage`.
+"""Coverage of uncertainties and intervals, by observable and noise: `make coverage`.
 
-Each row of the table in methods.md is many trials of a small campaign: records are simulated with
-their noise, read and fitted as a calibration does, and the errors are compared with the
-uncertainties claimed.
+Each row of the table in methods.md summarises many trials of a small campaign: simulated records
+are read and fitted as in a calibration, and the errors are compared with the claimed uncertainties.
 """
 
 import math
@@ -23,31 +22,34 @@ from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import TERMS
 from counterspin.simulation.simulate import simulate
-from kept_table import DOCS, KeptTable, channel, frame, runs, table_of
+from kept_table import DOCS, KeptTable, describe_channel, describe_runs, describe_site, format_table
 
-#: Trials of a case: usually, where one takes long, and where the noise of displacement is found or
-#: a walk is hidden.
+#: Trials of a case: default, for slow cases, and for estimated displacement noise or a hidden
+#: random walk.
 TRIALS: Final = 200
-TRIALS_WITHOUT: Final = 120
-TRIALS_MOST: Final = 400
+SLOW_CASE_TRIALS: Final = 120
+ESTIMATED_NOISE_TRIALS: Final = 400
 
-#: Trials of a case with time stamps that scatter, and their standard deviation.
-TRIALS_OF_STAMPS: Final = 60
-TIMING: Final = "2e-4 s"
+#: Trials of a case with time-stamp jitter, and its standard deviation.
+JITTER_TRIALS: Final = 60
+JITTER: Final = "2e-4 s"
 
 #: Seed of the first trial.
-FIRST: Final = 1000
+FIRST_SEED: Final = 1000
 
-#: Half the width of a 95 % band, in standard errors.
-BAND: Final = 1.96
+#: Half-width of a 95 % band, in standard errors.
+BAND_FACTOR: Final = 1.96
 
-#: What makes the noise larger than the records show is in u, whether it is there or not.
-HIDDEN: Final = ("white noise, not stated", "white noise and hidden random walk, not stated")
+#: Cases in which u includes noise that the records do not show.
+HIDDEN_NOISE_CASES: Final = (
+    "white noise, not stated",
+    "white noise and hidden random walk, not stated",
+)
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is recorded, with which noise, what is said of it, and how it is analysed."""
+    """Observable, true noise, stated noise, and method of analysis."""
 
     method: str
     observable: str
@@ -57,31 +59,31 @@ class Case:
 
     @property
     def trials(self) -> int:
-        """How many there are of it in the table."""
+        """Number of trials for the table."""
         if "time-stamp jitter" in self.words:
-            return TRIALS_OF_STAMPS
-        if self.words == HIDDEN[1]:
-            return TRIALS_MOST
+            return JITTER_TRIALS
+        if self.words == HIDDEN_NOISE_CASES[1]:
+            return ESTIMATED_NOISE_TRIALS
         if self.method == "two-stage":
-            return TRIALS_WITHOUT
+            return SLOW_CASE_TRIALS
         if not self.words.endswith(", not stated"):
             return TRIALS
-        return TRIALS_MOST if self.observable == "displacement" else TRIALS_WITHOUT
+        return ESTIMATED_NOISE_TRIALS if self.observable == "displacement" else SLOW_CASE_TRIALS
 
     def description(self, seed: int) -> str:
         """Return the campaign of one trial."""
         symbols = ["K_F", "K_I", "K_II", "K_III"] if self.method == "joint" else ["K_F", "K_II"]
-        return f"""{frame()}
+        return f"""{describe_site()}
 [accelerometers.Qx]
-{channel(self.observable, "east")}
+{describe_channel(self.observable, "east")}
 [accelerometers.Qy]
-{channel(self.observable, "north")}
+{describe_channel(self.observable, "north")}
 [noise]
-{_lines(self.stated)}
+{_format_lines(self.stated)}
 [model]
 terms = [{", ".join(f'"{symbol}"' for symbol in symbols)}]
 assume = "all"
-{runs()}
+{describe_runs()}
 [simulation]
 sampling_rate = "8 Hz"
 revolutions = 20
@@ -99,12 +101,12 @@ K_I = "0.999 g/g"
 K_II = "-3e-5 g/g^2"
 
 [truth.noise]
-{_lines(self.true)}
+{_format_lines(self.true)}
 angle = "1e-6 rad"
 """
 
 
-def _lines(table: dict[str, str]) -> str:
+def _format_lines(table: dict[str, str]) -> str:
     return "\n".join(f'{key} = "{value}"' for key, value in table.items())
 
 
@@ -112,62 +114,77 @@ _WHITE: Final = {"displacement": "0.01 m", "velocity": "1e-3 m/s", "specific_for
 _WALK: Final = {"acceleration": "3e-5 g/Hz^0.5"}
 _NO_WALK: Final = {"acceleration": "0 g/Hz^0.5"}
 
-#: A walk that the records show in half of the trials.
-_HARDLY: Final = {"displacement": "8e-6 g/Hz^0.5", "velocity": "6e-6 g/Hz^0.5"}
+#: A random walk that is detected in half of the trials.
+_WEAK_WALK: Final = {"displacement": "8e-6 g/Hz^0.5", "velocity": "6e-6 g/Hz^0.5"}
 
 
-def _cases() -> Iterator[Case]:
-    for observable, size in _WHITE.items():
-        white = {observable: size}
+def _list_cases() -> Iterator[Case]:
+    for observable, noise in _WHITE.items():
+        white = {observable: noise}
         yield Case("joint", observable, "white noise, stated", white, white)
         if observable == "specific_force":
-            # The accelerometer's noise is that of the record there.
+            # The noise of the accelerometer is the noise of the record.
             yield Case("joint", observable, "white noise, estimated", white, {})
             continue
-        found = {observable: "estimate", **_NO_WALK}
+        estimated = {observable: "estimate", **_NO_WALK}
         yield Case(
-            "joint", observable, "white noise estimated, random walk stated as zero", white, found
+            "joint",
+            observable,
+            "white noise estimated, random walk stated as zero",
+            white,
+            estimated,
         )
         yield Case("joint", observable, "white noise, not stated", white, {})
-        both = {**white, **_WALK}
-        yield Case("joint", observable, "white noise and random walk, stated", both, both)
-        yield Case("joint", observable, "white noise and random walk, not stated", both, {})
-    for observable, size in _HARDLY.items():
-        both = {observable: _WHITE[observable], "acceleration": size}
-        yield Case("joint", observable, HIDDEN[1], both, {})
+        white_and_walk = {**white, **_WALK}
+        yield Case(
+            "joint",
+            observable,
+            "white noise and random walk, stated",
+            white_and_walk,
+            white_and_walk,
+        )
+        yield Case(
+            "joint", observable, "white noise and random walk, not stated", white_and_walk, {}
+        )
+    for observable, noise in _WEAK_WALK.items():
+        white_and_walk = {observable: _WHITE[observable], "acceleration": noise}
+        yield Case("joint", observable, HIDDEN_NOISE_CASES[1], white_and_walk, {})
     white = {"displacement": "0.01 m"}
-    both = {**white, **_WALK}
+    white_and_walk = {**white, **_WALK}
     for words, true, stated in (
         ("white noise, stated", white, white),
-        ("white noise and random walk, stated", both, both),
-        ("white noise and random walk, not stated", both, {}),
+        ("white noise and random walk, stated", white_and_walk, white_and_walk),
+        ("white noise and random walk, not stated", white_and_walk, {}),
     ):
         yield Case("two-stage", "displacement", words, true, stated)
-    for method, observable in (*(("joint", one) for one in _WHITE), ("two-stage", "displacement")):
+    for method, observable in (
+        *(("joint", observable) for observable in _WHITE),
+        ("two-stage", "displacement"),
+    ):
         white = {observable: _WHITE[observable]}
-        true = {**white, "timing": TIMING}
+        true = {**white, "timing": JITTER}
         yield Case(method, observable, "stated white noise and time-stamp jitter", true, true)
         yield Case(
             method, observable, "stated white noise, estimated time-stamp jitter", true, white
         )
 
 
-CASES: Final = tuple(_cases())
+CASES: Final = tuple(_list_cases())
 
 
 @dataclass(frozen=True)
 class Row:
-    """What came out of a case.
+    """Results of a case.
 
     Attributes
     ----------
     method, observable, words, trials
-        Of the case; each trial has an error of each coefficient of two accelerometers.
+        The case; each trial has one error per coefficient for each of two accelerometers.
     z_rms, normal_rms, covered
-        By coefficient: rms of the errors over their u, rms of their normal equivalents, and how
-        often 95 % intervals cover.
+        By coefficient: rms of the errors over u, rms of their normal equivalents, and coverage
+        of the 95 % intervals.
     normal_band, covered_band
-        Half the width of the 95 % bands of `normal` and `coverage`, by the scatter of the trials.
+        Half-width of the 95 % bands of `normal` and `coverage`, from the scatter of the trials.
     """
 
     method: str
@@ -182,7 +199,7 @@ class Row:
 
     @property
     def values(self) -> int:
-        """Errors of each coefficient."""
+        """Number of errors of each coefficient."""
         return 2 * self.trials
 
     @property
@@ -193,29 +210,29 @@ class Row:
     @property
     def rms(self) -> float:
         """The rms of all coefficients together."""
-        return _rms_of(self.z_rms)
+        return _pooled_rms(self.z_rms)
 
     @property
     def normal(self) -> float:
         """The rms of the normal equivalents of all coefficients together."""
-        return _rms_of(self.normal_rms)
+        return _pooled_rms(self.normal_rms)
 
     @property
     def coverage(self) -> float:
-        """How often 95 % intervals of all coefficients cover."""
+        """Mean coverage of the 95 % intervals of all coefficients."""
         return sum(self.covered.values()) / len(self.covered)
 
     @property
     def hidden(self) -> bool:
-        """Whether u has noise that the records do not show."""
-        return self.words in HIDDEN
+        """Whether u includes noise that the records do not show."""
+        return self.words in HIDDEN_NOISE_CASES
 
 
-def _rms_of(parts: dict[str, float]) -> float:
-    return math.sqrt(sum(part * part for part in parts.values()) / len(parts))
+def _pooled_rms(rms_by_symbol: dict[str, float]) -> float:
+    return math.sqrt(sum(rms * rms for rms in rms_by_symbol.values()) / len(rms_by_symbol))
 
 
-def _errors(case: Case, campaign: Campaign) -> Iterator[tuple[str, float, float]]:
+def _normalised_errors(case: Case, campaign: Campaign) -> Iterator[tuple[str, float, float]]:
     """Yield symbol, error over u, and degrees of freedom, of every coefficient."""
     assert campaign.simulation is not None
     truth = campaign.simulation.truth.coefficients
@@ -230,60 +247,64 @@ def _errors(case: Case, campaign: Campaign) -> Iterator[tuple[str, float, float]
     solution = found.fit.solution
     for i, unknown in enumerate(found.fit.model.unknowns):
         if unknown.symbol not in TERMS:
-            continue  # what the encoder leaves open of a run's rotation
+            continue  # rotation parameter of a run
         true = truth[unknown.owner].get(unknown.symbol, TERMS[unknown.symbol].nominal)
         error = float(solution.estimate[i]) + unknown.nominal - true
         yield unknown.symbol, error / float(solution.u[i]), float(found.dof[i])
 
 
-def row_of(case: Case, trials: int) -> Row:
-    """Return the result of a case."""
-    gathered: dict[str, list[tuple[float, float]]] = {}
+def run_trials(case: Case, trials: int) -> Row:
+    """Run the trials of a case; return its row."""
+    errors: dict[str, list[tuple[float, float]]] = {}
     for trial in range(trials):
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "campaign.toml"
-            file.write_text(case.description(FIRST + trial), encoding="utf-8")
+            file.write_text(case.description(FIRST_SEED + trial), encoding="utf-8")
             simulate(file, folder)
-            for symbol, z, dof in _errors(case, read_campaign(folder)):
-                gathered.setdefault(symbol, []).append((z, min(dof, 1e9)))
-    return counted(case, gathered)
+            for symbol, z, dof in _normalised_errors(case, read_campaign(folder)):
+                errors.setdefault(symbol, []).append((z, min(dof, 1e9)))
+    return summarise_errors(case, errors)
 
 
-def counted(case: Case, gathered: dict[str, list[tuple[float, float]]]) -> Row:
-    """Return the result of errors over their u, and their degrees of freedom, by coefficient."""
+def summarise_errors(case: Case, errors: dict[str, list[tuple[float, float]]]) -> Row:
+    """Return the row of a case from coefficient -> pairs of error over u and dof."""
     # Coefficient, trial, accelerometer
-    pairs = np.array([np.reshape(part, (-1, 2, 2)) for part in gathered.values()])
+    pairs = np.array(
+        [np.reshape(pairs_of_symbol, (-1, 2, 2)) for pairs_of_symbol in errors.values()]
+    )
     z, dof = np.moveaxis(pairs, -1, 0)
     trials = z.shape[1]
     normal = normal_equivalent(z, dof)
-    covered = (np.abs(z) < stdtrit(dof, 0.975)).astype(float)
+    is_covered = (np.abs(z) < stdtrit(dof, 0.975)).astype(float)
 
-    def by_symbol(parts: np.ndarray) -> dict[str, float]:
-        return dict(zip(gathered, parts.mean(axis=(1, 2)).tolist(), strict=True))
+    def by_symbol(values: np.ndarray) -> dict[str, float]:
+        return dict(zip(errors, values.mean(axis=(1, 2)).tolist(), strict=True))
 
-    def band(parts: np.ndarray) -> float:
-        return float(BAND * parts.mean(axis=(0, 2)).std(ddof=1) / math.sqrt(trials))
+    def band(values: np.ndarray) -> float:
+        return float(BAND_FACTOR * values.mean(axis=(0, 2)).std(ddof=1) / math.sqrt(trials))
 
     return Row(
         case.method,
         case.observable,
         case.words,
         trials,
-        z_rms={symbol: math.sqrt(part) for symbol, part in by_symbol(z**2).items()},
-        normal_rms={symbol: math.sqrt(part) for symbol, part in by_symbol(normal**2).items()},
-        covered=by_symbol(covered),
+        z_rms={symbol: math.sqrt(mean_square) for symbol, mean_square in by_symbol(z**2).items()},
+        normal_rms={
+            symbol: math.sqrt(mean_square) for symbol, mean_square in by_symbol(normal**2).items()
+        },
+        covered=by_symbol(is_covered),
         normal_band=band(normal**2) / (2.0 * math.sqrt(float(np.mean(normal**2)))),
-        covered_band=band(covered),
+        covered_band=band(is_covered),
     )
 
 
 def normal_equivalent(z: np.ndarray, dof: np.ndarray) -> np.ndarray:
-    """Return normal variables that are as improbable as Student's."""
+    """Return normal quantiles with the tail probabilities of Student's t values."""
     return np.asarray(np.sign(z) * -ndtri(stdtr(dof, -np.abs(z))))
 
 
-#: Columns, and how they are aligned.
-HEAD: Final = dict.fromkeys(["method", "record", "noise"], "---") | dict.fromkeys(
+#: Column -> alignment.
+COLUMN_ALIGNMENTS: Final = dict.fromkeys(["method", "record", "noise"], "---") | dict.fromkeys(
     [
         "trials",
         "95 % covers",
@@ -301,8 +322,8 @@ HEAD: Final = dict.fromkeys(["method", "record", "noise"], "---") | dict.fromkey
 
 def render(table: Sequence[Row]) -> str:
     """Return the table as Markdown."""
-    return table_of(
-        HEAD,
+    return format_table(
+        COLUMN_ALIGNMENTS,
         [
             (
                 row.method,
@@ -327,8 +348,8 @@ TABLE: Final = KeptTable("coverage", DOCS / "methods.md", Row, render)
 
 
 def main() -> None:
-    """Make the table again."""
-    TABLE.keep([row_of(case, case.trials) for case in CASES])
+    """Recompute the table."""
+    TABLE.keep([run_trials(case, case.trials) for case in CASES])
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""How often something is found against good campaigns: `make alarms`.
+"""Rate of findings in good campaigns: `make alarms`.
 
-Each row of the table in diagnosis.md is many campaigns that are just as they are described: what is
-known beforehand is off by draws from its own uncertainty, each run's platform has another tilt,
-and the noise is as it is stated, or as it will be found. Each is calibrated with all its checks.
+Each row of the table in diagnosis.md summarises many campaigns that agree with their descriptions:
+priors deviate by draws from their uncertainties, the platform tilt differs between runs, and the
+noise is stated correctly or estimated. Each is calibrated with all checks.
 """
 
 import tempfile
@@ -17,13 +17,21 @@ from scipy.special import betaincinv
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result_parts import Finding
 from counterspin.simulation.simulate import simulate
-from kept_table import DOCS, RATES, KeptTable, channel, frame, runs, table_of
+from kept_table import (
+    DEFAULT_RATES,
+    DOCS,
+    KeptTable,
+    describe_channel,
+    describe_runs,
+    describe_site,
+    format_table,
+)
 
-#: Rates of a campaign with more runs, rev/s; the other sense for half of them.
-MANY: Final = ("0.25", "-0.25", "0.5", "-0.5", "0.8", "-0.8", "1", "-1")
+#: Rates of a campaign with eight runs, half of them in the opposite sense, rev/s.
+EIGHT_RATES: Final = ("0.25", "-0.25", "0.5", "-0.5", "0.8", "-0.8", "1", "-1")
 
 _TRUE: Final = {"Qx": (0.0050321, 1.0019743, 2.7e-5), "Qy": (-0.003, 0.999, -3.2e-5)}
-_U: Final = (2e-6, 5e-6)  #: of bias and scale factor
+_PRIOR_U: Final = (2e-6, 5e-6)  #: of bias and scale factor
 _TILT: Final = 0.5  #: arcsec
 
 _WALK: Final = 'acceleration = "3e-5 g/Hz^0.5"'
@@ -31,11 +39,11 @@ _WALK: Final = 'acceleration = "3e-5 g/Hz^0.5"'
 
 @dataclass(frozen=True)
 class Case:
-    """The noise of a kind of good campaign, what is said of it, and how many runs there are."""
+    """True and stated noise of a type of good campaign, and the rates of its runs."""
 
     words: str
     trials: int
-    rates: Sequence[str] = RATES
+    rates: Sequence[str] = DEFAULT_RATES
     walk: str = ""
     stated: bool = True
 
@@ -44,16 +52,16 @@ class Case:
         rng = np.random.default_rng([seed, len(self.rates)])
         white = 'displacement = "0.01 m"\n'
         tilts = rng.normal(scale=_TILT, size=(len(self.rates), 2)).tolist()
-        parts = [frame()]
+        parts = [describe_site()]
         for name, axis in (("Qx", "east"), ("Qy", "north")):
             bias, scale, k_ii = _TRUE[name]
-            known = rng.normal((bias, scale), _U).tolist()
+            known = rng.normal((bias, scale), _PRIOR_U).tolist()
             parts.append(
                 f"""
 [accelerometers.{name}]
-{channel("displacement", axis)}
-bias = "{known[0]!r} ± {_U[0]} g"
-scale_factor = "{known[1]!r} ± {_U[1]} g/g"
+{describe_channel("displacement", axis)}
+bias = "{known[0]!r} ± {_PRIOR_U[0]} g"
+scale_factor = "{known[1]!r} ± {_PRIOR_U[1]} g/g"
 
 [truth.{name}]
 K_F = "{bias} g"
@@ -82,7 +90,9 @@ revolutions = 20
 angle = "1e-6 rad"
 """
         )
-        for run, (east, north) in zip(runs(self.rates).strip().split("\n\n"), tilts, strict=True):
+        for run, (east, north) in zip(
+            describe_runs(self.rates).strip().split("\n\n"), tilts, strict=True
+        ):
             tilt = f'{{ east = "{east!r} arcsec", north = "{north!r} arcsec" }}'
             parts.append(f"\n{run}\ntruth.tilt = {tilt}\n")
         return "".join(parts)
@@ -90,13 +100,13 @@ angle = "1e-6 rad"
 
 CASES: Final = (
     Case("white noise, stated", 300),
-    Case("white noise, stated", 100, MANY),
+    Case("white noise, stated", 100, EIGHT_RATES),
     Case("white noise and random walk, not stated", 100, walk=_WALK, stated=False),
 )
 
 
-#: What is counted, and the codes of findings that it is; every other one names a cause.
-COUNTED: Final = {
+#: Column -> finding codes that it counts; all other codes name a cause.
+CODES_BY_COLUMN: Final = {
     "`run-disagrees`": ("run-disagrees",),
     "`methods-disagree`": ("methods-disagree",),
     "`noise-differs`": ("noise-differs",),
@@ -131,10 +141,10 @@ def _codes(findings: Sequence[Finding]) -> Iterator[str]:
         yield from _codes(finding.explains)
 
 
-def row_of(case: Case, trials: int) -> Row:
+def run_trials(case: Case, trials: int) -> Row:
     """Return the result of a case."""
-    checks = {code for codes in COUNTED.values() for code in codes}
-    counts = dict.fromkeys(["anything", *COUNTED, "a cause", "contradicted"], 0)
+    checks = {code for codes in CODES_BY_COLUMN.values() for code in codes}
+    counts = dict.fromkeys(["anything", *CODES_BY_COLUMN, "a cause", "contradicted"], 0)
     every: dict[str, int] = {}
     for trial in range(trials):
         with tempfile.TemporaryDirectory() as folder:
@@ -146,7 +156,7 @@ def row_of(case: Case, trials: int) -> Row:
         for code in found:
             every[code] = every.get(code, 0) + 1
         counts["anything"] += bool(found)
-        for name, codes in COUNTED.items():
+        for name, codes in CODES_BY_COLUMN.items():
             counts[name] += not found.isdisjoint(codes)
         counts["a cause"] += bool(found - checks)
         counts["contradicted"] += result.state == "contradicted"
@@ -154,13 +164,13 @@ def row_of(case: Case, trials: int) -> Row:
 
 
 def bounds(count: int, trials: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share that was found (Clopper and Pearson)."""
+    """Return the 95 % Clopper-Pearson interval of a proportion."""
     low = float(betaincinv(count, trials - count + 1, 0.025)) if count else 0.0
     high = float(betaincinv(count + 1, trials - count, 0.975)) if count < trials else 1.0
     return low, high
 
 
-def _share(count: int, trials: int) -> str:
+def _format_share(count: int, trials: int) -> str:
     low, high = bounds(count, trials)
     return f"{100.0 * count / trials:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})"
 
@@ -171,19 +181,19 @@ def render(table: Sequence[Row]) -> str:
     lines = [
         [
             *(row.words, f"{row.runs}", f"{row.trials}"),
-            *(_share(count, row.trials) for count in row.counts.values()),
+            *(_format_share(count, row.trials) for count in row.counts.values()),
         ]
         for row in table
     ]
-    return table_of(dict.fromkeys(head, "---"), lines)
+    return format_table(dict.fromkeys(head, "---"), lines)
 
 
 TABLE: Final = KeptTable("false_alarms", DOCS / "diagnosis.md", Row, render)
 
 
 def main() -> None:
-    """Make the table again."""
-    TABLE.keep([row_of(case, case.trials) for case in CASES])
+    """Recompute the table."""
+    TABLE.keep([run_trials(case, case.trials) for case in CASES])
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""What is said of values that no instrument has, though all that was measured fits.
+"""Findings for implausible values that fit the measurements.
 
-`make violations` makes the table again. Each row of it, the second one in violations.md, is one
-mistake: in what was read at rest, on an arm, and in records by both methods. Readings follow their
-closed form here, records are simulated.
+`make violations` recomputes the table in violations.md. Each row is one mistake, in static
+readings, in readings on an arm, and in records with both methods. Readings are computed in closed
+form; records are simulated.
 """
 
 import math
@@ -18,24 +18,24 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
 from counterspin.errors import RecordError
 from counterspin.simulation.simulate import simulate
-from kept_table import DOCS, KeptTable, table_of
-from violations import Size, description, replaced
+from kept_table import DOCS, KeptTable, format_table
+from violations import Size, describe_campaign, replace_pieces
 
-#: What is measured: its column.
-WAYS: Final = {
+#: Type of measurement -> column.
+COLUMN_BY_MEASUREMENT: Final = {
     "tumble": "tumble",
     "arm": "readings on an arm",
     "force": "specific force",
     "two-stage": "displacement, two-stage method",
 }
 
-#: g.
+#: Local gravity, m/s^2.
 GRAVITY: Final = 9.80665
 
 #: Standard uncertainty of a reading, g.
 NOISE: Final = 2e-6
 
-#: What is true of the accelerometer that is read, in g-units.
+#: True coefficients of the accelerometer, in g-units.
 TRUTH: Final = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 1.5e-5, "delta_O": 1e-3}
 
 SIZE: Final = Size(10.0, 20)
@@ -43,24 +43,24 @@ SIZE: Final = Size(10.0, 20)
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake, and how it is made in each of the ways.
+    """A mistake, and its form in each type of measurement.
 
     Attributes
     ----------
     name
-        What is shown of it.
+        Text for the table.
     truth
-        What is true instead of `TRUTH`.
+        True coefficients that differ from `TRUTH`.
     change
-        What becomes of a reading, or None: it is made in the attitudes alone.
+        Function applied to each reading, or None if only the attitudes are wrong.
     sense, zero, upright
-        Of the tumble's attitudes as they are stated: their sense, what their zero is off by, deg,
-        and whether the input axis points up there or else east.
+        Stated attitudes of the tumble test: sense, zero error in deg, and whether the input axis
+        points up (or east) at zero.
     stated
-        Of the tumble: what is stated of the accelerometer.
+        Stated values of the accelerometer in the tumble test.
     world, records
-        Pieces of the description of records, and what stands there in the world, and as stated;
-        None: such records are not made.
+        Text of the description -> its replacement in the simulation and in the description.
+        records None: no records are simulated.
     """
 
     name: str
@@ -75,12 +75,12 @@ class Mistake:
 
     @property
     def ways(self) -> list[str]:
-        """In which ways it is made."""
+        """Types of measurement in which the mistake can occur."""
         ways = ["tumble", *(["arm"] if self.change or self.truth else [])]
         return ways if self.records is None else [*ways, "force", "two-stage"]
 
 
-#: An accelerometer that differs from nominal by more than is credible, in the world.
+#: Limits that allow the simulation of implausible coefficients.
 LIMITS: Final = """[model]
 limits = { K_F = "1 g", K_I = "10 g/g", K_II = "1e-2 g/g^2" }
 
@@ -88,7 +88,7 @@ limits = { K_F = "1 g", K_I = "10 g/g", K_II = "1e-2 g/g^2" }
 """
 
 
-def _in_world(old: str, new: str) -> dict[str, str]:
+def _replace_truth(old: str, new: str) -> dict[str, str]:
     return {old: new, "[noise]\n": LIMITS}
 
 
@@ -101,19 +101,19 @@ MISTAKES: Final = (
     Mistake(
         "K_I = 1.3 g/g",
         {"K_I": 1.3},
-        world=_in_world('K_I = "1.0019732 g/g"', 'K_I = "1.3 g/g"'),
+        world=_replace_truth('K_I = "1.0019732 g/g"', 'K_I = "1.3 g/g"'),
         records={},
     ),
     Mistake(
         "K_F = 0.3 g",
         {"K_F": 0.3},
-        world=_in_world('K_F = "0.0050312 g"', 'K_F = "0.3 g"'),
+        world=_replace_truth('K_F = "0.0050312 g"', 'K_F = "0.3 g"'),
         records={},
     ),
     Mistake(
         "K_II = 500 ug/g^2",
         {"K_II": 5e-4},
-        world=_in_world('K_II = "2e-5 g/g^2"', 'K_II = "5e-4 g/g^2"'),
+        world=_replace_truth('K_II = "2e-5 g/g^2"', 'K_II = "5e-4 g/g^2"'),
         records={},
     ),
     Mistake(
@@ -135,13 +135,13 @@ MISTAKES: Final = (
 )
 
 
-def of_readings(mistake: Mistake, way: str) -> str:
-    """Return a campaign of readings at rest or on an arm: values of the closed form and noise."""
+def describe_readings(mistake: Mistake, measurement: str) -> str:
+    """Return a campaign of static or arm readings: closed-form values plus noise."""
     true = {**TRUTH, **mistake.truth}
     rng = np.random.default_rng(1)
     change = mistake.change or float
 
-    def read(along: float, across: float) -> str:
+    def format_reading(along: float, across: float) -> str:
         value = (
             true["K_F"]
             + true["K_I"] * along
@@ -155,13 +155,13 @@ def of_readings(mistake: Mistake, way: str) -> str:
         f'schema = 1\nsite = {{ gravity = "{GRAVITY} m/s^2", latitude = "45.75 deg" }}\n'
         '[centrifuge]\nradius = "1 ± 1e-6 m"\n'
     ]
-    if way == "tumble":
+    if measurement == "tumble":
         axes = ("up", "west") if mistake.upright else ("east", "up")
-        pieces.append(_read_accelerometer(*axes, mistake.stated))
+        pieces.append(_describe_accelerometer(*axes, mistake.stated))
         for angle in range(0, 360, 15):
             # From up, about north: the input axis turns to the east, the pendulous one up.
-            turn = math.radians(angle if mistake.upright else angle + 90.0)
-            reading = read(math.cos(turn), math.sin(turn))
+            angle_rad = math.radians(angle if mistake.upright else angle + 90.0)
+            reading = format_reading(math.cos(angle_rad), math.sin(angle_rad))
             attitude = f"{mistake.sense * angle + mistake.zero!r} deg about north"
             pieces.append(
                 f'[[runs]]\nname = "{angle} deg"\nmotion = "static"\nattitude = "{attitude}"\n'
@@ -169,19 +169,20 @@ def of_readings(mistake: Mistake, way: str) -> str:
             )
         return "".join(pieces)
     # Readings on an arm do not determine a misalignment about the output axis.
-    pieces.append(_read_accelerometer("up", "west", "").replace(', "delta_O"', ""))
+    pieces.append(_describe_accelerometer("up", "west", "").replace(', "delta_O"', ""))
     for side, sign in (("inward", 1.0), ("outward", -1.0)):
-        for size in (1.0, 2.0, 5.0, 10.0, 15.0, 20.0):
-            rate = math.sqrt(size * GRAVITY)
+        for acceleration in (1.0, 2.0, 5.0, 10.0, 15.0, 20.0):
+            rate = math.sqrt(acceleration * GRAVITY)
             pieces.append(
-                f'[[runs]]\nname = "{side} {size:g} g"\nmotion = "arm"\nrate = "{rate!r} rad/s"\n'
+                f'[[runs]]\nname = "{side} {acceleration:g} g"\nmotion = "arm"\n'
+                f'rate = "{rate!r} rad/s"\n'
                 f'axes = {{ input = "{side}", pendulous = "forward" }}\n'
-                f'reading = "{read(sign * size, 0.0)}"\n'
+                f'reading = "{format_reading(sign * acceleration, 0.0)}"\n'
             )
     return "".join(pieces)
 
 
-def _read_accelerometer(axis: str, pendulous: str, stated: str) -> str:
+def _describe_accelerometer(axis: str, pendulous: str, stated: str) -> str:
     return (
         f'[accelerometers.A]\ninput_axis = "{axis}"\npendulous_axis = "{pendulous}"\n'
         f'output = {{ unit = "g" }}\n{stated}'
@@ -189,32 +190,34 @@ def _read_accelerometer(axis: str, pendulous: str, stated: str) -> str:
     )
 
 
-def calibrated(mistake: Mistake, way: str) -> Result:
-    """Return the calibration with a mistake, in one of the ways."""
+def calibrate_mistake(mistake: Mistake, measurement: str) -> Result:
+    """Return the calibration with a mistake, for one type of measurement."""
     with tempfile.TemporaryDirectory() as folder:
         campaign = Path(folder) / "campaign.toml"
-        if way in ("tumble", "arm"):
-            campaign.write_text(of_readings(mistake, way), encoding="utf-8")
+        if measurement in ("tumble", "arm"):
+            campaign.write_text(describe_readings(mistake, measurement), encoding="utf-8")
             return calibrate(folder)
-        usual = description("specific_force" if way == "force" else "displacement", SIZE)
+        reference = describe_campaign(
+            "specific_force" if measurement == "force" else "displacement", SIZE
+        )
         world = Path(folder) / "world.toml"
-        world.write_text(replaced(usual, mistake.world), encoding="utf-8")
+        world.write_text(replace_pieces(reference, mistake.world), encoding="utf-8")
         simulate(world, folder, overwrite=True)
-        stated = usual
+        stated = reference
         for old, new in (mistake.records or {}).items():
             stated = stated.replace(old, new)
-        if way == "force":  # which determines both by itself
-            stated = replaced(
+        if measurement == "force":  # the records determine both
+            stated = replace_pieces(
                 stated,
                 {'bias = "0.00503 ± 2e-6 g"\n': "", 'scale_factor = "1.00197 ± 5e-6 g/g"\n': ""},
             )
         campaign.write_text(stated, encoding="utf-8")
-        return calibrate(folder, method="two-stage" if way == "two-stage" else "joint")
+        return calibrate(folder, method="two-stage" if measurement == "two-stage" else "joint")
 
 
 @dataclass(frozen=True)
 class Row:
-    """What is said of a mistake in one of the ways: the state, and the first of the findings."""
+    """State and first finding for a mistake in one type of measurement."""
 
     name: str
     way: str
@@ -225,34 +228,34 @@ class Row:
 
     @property
     def cell(self) -> str:
-        """The row in a few words."""
+        """The text of the table cell."""
         if not self.text:
             return "no finding"
         return f"{self.state} ({self.code}: {self.subject})" if self.code else self.state
 
 
-def row_of(mistake: Mistake, way: str) -> Row:
-    """Return what is said of a mistake in one of the ways."""
+def check_mistake(mistake: Mistake, measurement: str) -> Row:
+    """Return the row of a mistake in one type of measurement."""
     try:
-        result = calibrated(mistake, way)
+        result = calibrate_mistake(mistake, measurement)
     except RecordError as error:
-        return Row(mistake.name, way, "refused", "", "", str(error).partition(": ")[2])
-    first = result.findings[0] if result.findings else None
+        return Row(mistake.name, measurement, "refused", "", "", str(error).partition(": ")[2])
+    first_finding = result.findings[0] if result.findings else None
     return Row(
         mistake.name,
-        way,
+        measurement,
         str(result.state),
-        first.code if first else "",
-        first.subject if first else "",
-        first.text if first else "",
+        first_finding.code if first_finding else "",
+        first_finding.subject if first_finding else "",
+        first_finding.text if first_finding else "",
     )
 
 
-def rows() -> Iterator[Row]:
+def check_mistakes() -> Iterator[Row]:
     """Yield the rows of the table."""
     for mistake in MISTAKES:
-        for way in mistake.ways:
-            yield row_of(mistake, way)
+        for measurement in mistake.ways:
+            yield check_mistake(mistake, measurement)
 
 
 def render(table: Sequence[Row]) -> str:
@@ -260,12 +263,12 @@ def render(table: Sequence[Row]) -> str:
     lines = []
     for name in dict.fromkeys(row.name for row in table):
         cells = {row.way: row.cell for row in table if row.name == name}
-        lines.append([name, *(cells.get(way, "") for way in WAYS)])
-    return table_of(dict.fromkeys(["mistake", *WAYS.values()], "---"), lines)
+        lines.append([name, *(cells.get(measurement, "") for measurement in COLUMN_BY_MEASUREMENT)])
+    return format_table(dict.fromkeys(["mistake", *COLUMN_BY_MEASUREMENT.values()], "---"), lines)
 
 
 TABLE: Final = KeptTable("incredible", DOCS / "violations.md", Row, render)
 
 
 if __name__ == "__main__":
-    TABLE.keep(list(rows()))
+    TABLE.keep(list(check_mistakes()))

@@ -1,7 +1,7 @@
-"""Tables of the documentation that trials make: kept as JSON, shown on a page, checked by tests.
+"""Tables of simulation results: stored as JSON, shown on a page, checked by tests.
 
-- `KeptTable`: the rows of one, the file that keeps them and the page that shows them
-- `frame`, `runs`, `channel`: what the campaigns of the trials have in common, as TOML
+- `KeptTable`: a table, the file that stores its rows and the page that shows it
+- `describe_site`, `describe_runs`, `describe_channel`: common TOML sections of campaigns
 """
 
 import json
@@ -12,11 +12,11 @@ from typing import Any, Final, Generic, TypeVar
 
 DOCS: Final = Path(__file__).parent
 
-#: Unit of what is recorded.
+#: Observable -> unit of the recorded signal.
 UNITS: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
 
-#: Rates of the usual three runs, rev/s.
-RATES: Final = ("0.25", "0.5", "1")
+#: Rates of the default three runs, rev/s.
+DEFAULT_RATES: Final = ("0.25", "0.5", "1")
 
 Row = TypeVar("Row")
 
@@ -28,11 +28,11 @@ class KeptTable(Generic[Row]):
     Attributes
     ----------
     name
-        Of the file that keeps it, NAME.json, and of its place in the page.
+        Stem of the JSON file, and name of the markers in the page.
     page
-        The page's file.
+        Path of the page.
     row
-        The dataclass of its rows.
+        Dataclass of a row.
     render
         Rows -> Markdown.
     """
@@ -44,38 +44,40 @@ class KeptTable(Generic[Row]):
 
     @property
     def file(self) -> Path:
-        """The file that keeps the rows."""
+        """Path of the JSON file with the rows."""
         return DOCS / f"{self.name}.json"
 
     def insert(self, rows: Sequence[Row], page: str) -> str:
-        """Return the page's text with the table in its place."""
-        before, begun, rest = page.partition(f"<!-- {self.name} -->\n")
-        _, ended, after = rest.partition(f"<!-- /{self.name} -->")
-        if not begun or not ended:
-            raise ValueError(f"the page has no place for the table {self.name}")
-        return f"{before}{begun}{self.render(rows)}{ended}{after}"
+        """Return the text of the page with the table between its markers."""
+        before, start_marker, remainder = page.partition(f"<!-- {self.name} -->\n")
+        _, end_marker, after = remainder.partition(f"<!-- /{self.name} -->")
+        if not start_marker or not end_marker:
+            raise ValueError(f"the page has no markers for the table {self.name}")
+        return f"{before}{start_marker}{self.render(rows)}{end_marker}{after}"
 
     def load(self) -> list[Row]:
-        """Return the rows that are kept."""
+        """Return the stored rows."""
         return [self.row(**row) for row in json.loads(self.file.read_text(encoding="utf-8"))]
 
     def keep(self, rows: Sequence[Any]) -> None:
-        """Write rows into file and page."""
+        """Write the rows to the JSON file and the page."""
         text = json.dumps([asdict(row) for row in rows], indent=1)
         self.file.write_text(f"{text}\n", encoding="utf-8")
         page = self.page.read_text(encoding="utf-8")
         self.page.write_text(self.insert(rows, page), encoding="utf-8")
 
 
-def table_of(head: Mapping[str, str], rows: Sequence[Sequence[str]]) -> str:
-    """Return Markdown: the columns' names with their alignment ("---" or "---:"), and rows."""
-    lines = [f"| {' | '.join(line)} |" for line in [list(head), *rows]]
-    lines.insert(1, f"|{'|'.join(head.values())}|")
+def format_table(alignments: Mapping[str, str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table; alignments: column name -> "---" or "---:"."""
+    lines = [f"| {' | '.join(line)} |" for line in [list(alignments), *rows]]
+    lines.insert(1, f"|{'|'.join(alignments.values())}|")
     return "\n".join(lines) + "\n"
 
 
-def frame(gravity: str = "9.8066 m/s^2", latitude: str = "45.75 deg", radius: str = "2.5 m") -> str:
-    """Return where a campaign takes place, on what, and the columns of time and angle."""
+def describe_site(
+    gravity: str = "9.8066 m/s^2", latitude: str = "45.75 deg", radius: str = "2.5 m"
+) -> str:
+    """Return the TOML of site, centrifuge, and time and angle columns."""
     return f"""
 schema = 1
 
@@ -92,16 +94,16 @@ angle = {{ column = "angle_rad", unit = "rad" }}
 """
 
 
-def channel(observable: str, axis: str) -> str:
-    """Return an accelerometer's axes, and its column, for an input axis to the east or north."""
+def describe_channel(observable: str, axis: str) -> str:
+    """Return the TOML of axes and column of an accelerometer with input axis east or north."""
     return f"""input_axis = "{axis}"
 pendulous_axis = "down"
 {observable} = {{ column = "{axis}", unit = "{UNITS[observable]}" }}
 """
 
 
-def runs(rates: Sequence[str] = RATES) -> str:
-    """Return [[runs]] run1, run2 and so on."""
+def describe_runs(rates: Sequence[str] = DEFAULT_RATES) -> str:
+    """Return the TOML of [[runs]] run1, run2 and so on; rates in rev/s."""
     return "".join(
         f"""
 [[runs]]

@@ -1,8 +1,8 @@
-"""Make the tables of keys and fields in these pages from the classes that read and write them.
+"""Generate the tables of keys, fields and error codes in these pages from the classes.
 
-`python docs/key_tables.py` writes them anew, each below its `<!-- keys: CLASS -->` of a document or
-`<!-- fields: CLASS -->` of a result; the table of error codes below `<!-- codes: all -->`. A test
-compares.
+`python docs/key_tables.py` replaces each table below its marker: `<!-- keys: CLASS -->` for a
+document, `<!-- fields: CLASS -->` for a result, `<!-- codes: all -->` for the error codes. A test
+compares them with the classes.
 """
 
 import re
@@ -33,13 +33,13 @@ from counterspin.studies.description import StudyCampaignDocument, StudyDocument
 from counterspin.toml_text import format_value
 from counterspin.validation.page import Dossier
 
-HERE = Path(__file__).parent
-PLACE = re.compile(r"^<!-- (keys|fields|codes): ([\w ]+) -->\n(?:\|.*\n)*", re.MULTILINE)
-HEAD = "| key | kind | default | example | meaning |\n|---|---|---|---|---|\n"
-FIELDS_HEAD = "| key | kind | meaning |\n|---|---|---|\n"
-CODES_HEAD = "| code | mistake |\n|---|---|\n"
+DOCS = Path(__file__).parent
+TABLE_MARKER = re.compile(r"^<!-- (keys|fields|codes): ([\w ]+) -->\n(?:\|.*\n)*", re.MULTILINE)
+KEYS_HEADER = "| key | kind | default | example | meaning |\n|---|---|---|---|---|\n"
+FIELDS_HEADER = "| key | kind | meaning |\n|---|---|---|\n"
+CODES_HEADER = "| code | mistake |\n|---|---|\n"
 
-#: What has tables of keys.
+#: Documents with tables of keys.
 DOCUMENTS = (
     StudyCampaignDocument,
     StudyDocument,
@@ -49,8 +49,8 @@ DOCUMENTS = (
     AccelerometerTruthSettings,
 )
 
-#: Name -> class, of every part of the results that have a page of their own.
-PARTS = {
+#: Name -> class, for every class in the documented results.
+RESULT_CLASSES = {
     name: part
     for result in (
         Result,
@@ -68,19 +68,19 @@ PARTS = {
     for name, part in schemas.collect_models(result).items()
 }
 
-#: Classes that have a table of keys.
-SHOWN = {
+#: Names of classes with a table of keys.
+CLASSES_WITH_TABLE = {
     name
-    for page in HERE.glob("*.md")
-    for kind, name in PLACE.findall(page.read_text("utf-8"))
+    for page in DOCS.glob("*.md")
+    for kind, name in TABLE_MARKER.findall(page.read_text("utf-8"))
     if kind == "keys"
 }
 
-#: A heading, or the place of a table of fields below it.
+#: A heading, or the marker of a table of fields.
 SECTION = re.compile(r"^(?:#+ (?P<heading>.*)|<!-- fields: (?P<part>\w+) -->)$", re.MULTILINE)
 
-#: The one row that stands for all terms.
-TERMS = {
+#: Class -> row that represents all terms.
+TERM_ROWS = {
     "AccelerometerKeys": "| `K_III` and so on | quantity ± | unknown | "
     '`K_III = "0 ± 1e-5 g/g^3"` | prior of another [term](physics.md#accelerometer-eq-7-9) |\n',
     "AccelerometerTruthSettings": "| `K_II` and so on | quantity | a perfect instrument's | "
@@ -88,11 +88,11 @@ TERMS = {
     'also accepted, as in `"1.25 mA/g"`; write slopes such as `"K_F.trend"` in quotation marks |\n',
 }
 
-#: What a type is called; of other types it is text.
-KINDS = {bool: "true, false", int: "number", float: "number", dict: "table", list: "list"}
+#: Type -> label; other types are "text".
+TYPE_LABELS = {bool: "true, false", int: "number", float: "number", dict: "table", list: "list"}
 
-#: How defaults are called.
-DEFAULTS = {
+#: Default -> label.
+DEFAULT_LABELS = {
     "None": "none",
     "True": "true",
     "False": "false",
@@ -102,123 +102,155 @@ DEFAULTS = {
 }
 
 
-def filled(page: str) -> str:
-    """Return a page with its tables as the classes have them."""
-    anchors = _anchors(page)
+def fill_tables(page: str) -> str:
+    """Return a page with its tables generated from the classes."""
+    anchors = _find_anchors(page)
 
-    def made(place: re.Match[str]) -> str:
-        if place[1] == "codes":
-            rows = codes_table()
+    def format_marked_table(marker: re.Match[str]) -> str:
+        if marker[1] == "codes":
+            rows = format_codes_table()
         else:
-            rows = table(place[2]) if place[1] == "keys" else fields_table(place[2], anchors)
-        return f"{place[0].partition('|')[0]}{rows}"
+            rows = (
+                format_keys_table(marker[2])
+                if marker[1] == "keys"
+                else format_fields_table(marker[2], anchors)
+            )
+        return f"{marker[0].partition('|')[0]}{rows}"
 
-    return PLACE.sub(made, page)
+    return TABLE_MARKER.sub(format_marked_table, page)
 
 
-def codes_table() -> str:
+def format_codes_table() -> str:
     """Return the table of all error codes, in alphabetical order."""
     rows = (f"| `{code}` | {mistake.rstrip('.')} |\n" for code, mistake in sorted(CODES.items()))
-    return CODES_HEAD + "".join(rows)
+    return CODES_HEADER + "".join(rows)
 
 
-def _anchors(page: str) -> dict[str, str]:
-    """Return class -> anchor of the heading above its table, the first that is below it."""
-    found, anchor = {}, ""
+def _find_anchors(page: str) -> dict[str, str]:
+    """Return class -> anchor of its heading, for the first table below each heading."""
+    anchors, anchor = {}, ""
     for section in SECTION.finditer(page):
         if section["heading"] is not None:
             anchor = re.sub(r"[^\w -]", "", section["heading"]).lower().replace(" ", "-")
-        elif anchor not in found.values():
-            found[section["part"]] = anchor
-    return found
+        elif anchor not in anchors.values():
+            anchors[section["part"]] = anchor
+    return anchors
 
 
-def fields_table(name: str, anchors: dict[str, str]) -> str:
-    """Return the table of a part of a result, with links to the tables of its own parts."""
-    part = PARTS[name]
-    said = schemas.field_comments(part)
+def format_fields_table(name: str, anchors: dict[str, str]) -> str:
+    """Return the table of fields of a class, with links to the tables of nested classes."""
+    result_class = RESULT_CLASSES[name]
+    comments = schemas.field_comments(result_class)
     rows = (
-        (f"`{schemas.key_of_field(part, field)}`", _shape(hint, anchors), _cell(said[field]))
-        for field, hint in schemas.field_types(part).items()
+        (
+            f"`{schemas.key_of_field(result_class, field)}`",
+            _describe_type(hint, anchors),
+            _escape_cell(comments[field]),
+        )
+        for field, hint in schemas.field_types(result_class).items()
     )
-    return FIELDS_HEAD + "".join(f"| {' | '.join(cells)} |\n" for cells in rows)
+    return FIELDS_HEADER + "".join(f"| {' | '.join(cells)} |\n" for cells in rows)
 
 
-def _cell(words: str) -> str:
-    return re.sub(r"\bnull\b", "`null`", words).replace("|", r"\|").rstrip(".")
+def _escape_cell(comment: str) -> str:
+    return re.sub(r"\bnull\b", "`null`", comment).replace("|", r"\|").rstrip(".")
 
 
-def _shape(hint: Any, anchors: dict[str, str], *, several: bool = False) -> str:
-    """Return what a value of a result is; several: in the plural."""
-    inner = [one for one in typing.get_args(hint) if one is not types.NoneType]
-    origin, s = typing.get_origin(hint), "s" * several
+def _describe_type(hint: Any, anchors: dict[str, str], *, is_plural: bool = False) -> str:
+    """Return the description of a type, in the plural if is_plural."""
+    arguments = [argument for argument in typing.get_args(hint) if argument is not types.NoneType]
+    origin, s = typing.get_origin(hint), "s" * is_plural
     if origin in (Annotated, typing.Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_shape(one, anchors, several=several) for one in inner))
+        return " or ".join(
+            dict.fromkeys(
+                _describe_type(argument, anchors, is_plural=is_plural) for argument in arguments
+            )
+        )
     if origin is Literal:
-        return ", ".join(f"`{choice}`" for choice in inner)
+        return ", ".join(f"`{choice}`" for choice in arguments)
     if origin in (list, tuple):
-        return f"list{s} of {_shape(inner[0], anchors, several=True)}"
+        return f"list{s} of {_describe_type(arguments[0], anchors, is_plural=True)}"
     if origin is dict:
-        values = _shape(inner[1], anchors, several=True)
-        return f"tables of {values}" if several else f"{values} by name"
-    if hint.__name__ in PARTS:
+        values = _describe_type(arguments[1], anchors, is_plural=True)
+        return f"tables of {values}" if is_plural else f"{values} by name"
+    if hint.__name__ in RESULT_CLASSES:
         anchor = anchors.get(hint.__name__)
         return f"[table{s}](#{anchor})" if anchor else f"table{s}"
-    words = {bool: "true or false", int: f"number{s}", float: f"number{s}", str: f"text{s}"}
-    return words[hint]
+    labels = {bool: "true or false", int: f"number{s}", float: f"number{s}", str: f"text{s}"}
+    return labels[hint]
 
 
-def table(name: str) -> str:
-    """Return the table of a class."""
+def format_keys_table(name: str) -> str:
+    """Return the table of keys of a class."""
     return (
-        HEAD + "".join(_row(key, field) for key, field in keys(name).items()) + TERMS.get(name, "")
+        KEYS_HEADER
+        + "".join(_format_row(key, field) for key, field in find_keys(name).items())
+        + TERM_ROWS.get(name, "")
     )
 
 
-def keys(name: str) -> dict[str, FieldInfo]:
-    """Return key -> field, without terms and without those of a class that has a table itself.
+def find_keys(name: str) -> dict[str, FieldInfo]:
+    """Return key -> field, except terms and keys inherited from classes with their own table.
 
-    name: Of the class; "Run of readings" where it has keys that only some of its tables have.
+    name: Name of the class; "Run of readings" selects the keys restricted to "readings".
     """
-    name, _, some = name.partition(" of ")
-    model = model_of(name)
-    bases = [b for b in model.__bases__ if b.__name__ in SHOWN]
-    told = {key for base in bases for key in base.model_fields} | set(ACCELEROMETER_TERMS)
-    named = {field.alias or name: field for name, field in model.model_fields.items()}
-    own = {key: field for key, field in named.items() if key not in told}
-    return {key: f for key, f in own.items() if field_extra(f).get("x-of", some) == some}
+    name, _, restriction = name.partition(" of ")
+    model = find_model(name)
+    bases = [b for b in model.__bases__ if b.__name__ in CLASSES_WITH_TABLE]
+    documented_keys = {key for base in bases for key in base.model_fields} | set(
+        ACCELEROMETER_TERMS
+    )
+    fields = {field.alias or name: field for name, field in model.model_fields.items()}
+    undocumented = {key: field for key, field in fields.items() if key not in documented_keys}
+    return {
+        key: f
+        for key, f in undocumented.items()
+        if field_extra(f).get("x-of", restriction) == restriction
+    }
 
 
-def model_of(name: str) -> type[BaseModel]:
-    """Return the class of a table, wherever a document has it."""
-    waiting: list[type[BaseModel]] = [*DOCUMENTS]
-    found: dict[str, type[BaseModel]] = {}
-    while name not in found:
-        model = waiting.pop()
-        found[model.__name__] = model
+def find_model(name: str) -> type[BaseModel]:
+    """Return the class with this name, at any depth of the documents."""
+    pending: list[type[BaseModel]] = [*DOCUMENTS]
+    models: dict[str, type[BaseModel]] = {}
+    while name not in models:
+        model = pending.pop()
+        models[model.__name__] = model
         for field in model.model_fields.values():
-            apart = [said.model for said in field.metadata if isinstance(said, Section)]
-            waiting += [m for one in (field.annotation, *apart) for m in _models(one)]
-        waiting += [base for base in model.__bases__ if issubclass(base, SettingsSection)]
-    return found[name]
+            section_models = [
+                metadata.model for metadata in field.metadata if isinstance(metadata, Section)
+            ]
+            pending += [
+                nested_model
+                for annotation in (field.annotation, *section_models)
+                for nested_model in _find_models(annotation)
+            ]
+        pending += [base for base in model.__bases__ if issubclass(base, SettingsSection)]
+    return models[name]
 
 
-def _models(annotation: Any) -> set[type[BaseModel]]:
+def _find_models(annotation: Any) -> set[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return {annotation}
-    return {m for inner in typing.get_args(annotation) for m in _models(inner)}
+    return {m for inner in typing.get_args(annotation) for m in _find_models(inner)}
 
 
-def _row(key: str, field: FieldInfo) -> str:
+def _format_row(key: str, field: FieldInfo) -> str:
     extra = field_extra(field)
-    kind = extra.get("x-kind") or _kind(field.annotation, field.metadata)
+    type_label = extra.get("x-kind") or _describe_input(field.annotation, field.metadata)
     (value,) = field.examples or [None]
     example = f"`{key} = {format_value(value)}`"
-    cells = (f"`{key}`", kind, _default(field, extra), example, field.description or "")
+    cells = (
+        f"`{key}`",
+        type_label,
+        _format_default(field, extra),
+        example,
+        field.description or "",
+    )
     return "| " + " | ".join(cells) + " |\n"
 
 
-def _default(field: FieldInfo, extra: dict[str, str]) -> str:
+def _format_default(field: FieldInfo, extra: dict[str, str]) -> str:
     if field.is_required():
         return "required"
     default = field.get_default(call_default_factory=True)
@@ -226,34 +258,36 @@ def _default(field: FieldInfo, extra: dict[str, str]) -> str:
         return extra["x-absent"]
     if isinstance(default, float):
         return f"{default:g}"
-    return DEFAULTS.get(str(default), f"`{default}`" if isinstance(default, str) else str(default))
+    return DEFAULT_LABELS.get(
+        str(default), f"`{default}`" if isinstance(default, str) else str(default)
+    )
 
 
-def _kind(annotation: Any, metadata: list[Any]) -> str:
-    """Return how a value is written."""
-    said = list(metadata)
+def _describe_input(annotation: Any, metadata: list[Any]) -> str:
+    """Return a description of the values a key accepts."""
+    validators = list(metadata)
     while typing.get_origin(annotation) in (Annotated, typing.Union, types.UnionType):
-        parts = [a for a in typing.get_args(annotation) if a is not types.NoneType]
+        arguments = [a for a in typing.get_args(annotation) if a is not types.NoneType]
         if typing.get_origin(annotation) is Annotated:
-            said += parts[1:]
-        annotation = parts[0]
-    readers = [one.func for one in said if isinstance(one, PlainValidator)]
+            validators += arguments[1:]
+        annotation = arguments[0]
+    readers = [validator.func for validator in validators if isinstance(validator, PlainValidator)]
     for reader in readers:
         if isinstance(reader, partial):
-            spread = " ±" if reader.func is uncertain_quantity("m").func.func else ""
-            return f"quantity{spread}, {reader.args[0]}"
+            uncertainty = " ±" if reader.func is uncertain_quantity("m").func.func else ""
+            return f"quantity{uncertainty}, {reader.args[0]}"
     origin = typing.get_origin(annotation)
     if origin is Literal:
         return ", ".join(f"`{choice}`" for choice in typing.get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "table"
-    if origin is list and _models(annotation):
+    if origin is list and _find_models(annotation):
         return "list of tables"
-    return KINDS.get(origin or annotation, "date" if "date" in str(annotation) else "text")
+    return TYPE_LABELS.get(origin or annotation, "date" if "date" in str(annotation) else "text")
 
 
 if __name__ == "__main__":
-    for page in sorted(HERE.glob("*.md")):
+    for page in sorted(DOCS.glob("*.md")):
         text = page.read_text("utf-8")
-        if (new := filled(text)) != text:
+        if (new := fill_tables(text)) != text:
             page.write_text(new, "utf-8")

@@ -1,8 +1,8 @@
-"""Make the pictures and examples of the documentation again: `make pictures`.
+"""Regenerate the pictures and examples of the documentation: `make pictures`.
 
-Everything comes from the commands that the documentation describes, with a fixed date, so that
-only what has changed becomes another file. The screenshots need Chromium and Playwright; without
-them the rest is made and the lack is said.
+The documented commands generate everything with a fixed date, so that unchanged content gives
+identical files. The screenshots need Chromium and Playwright; without Chromium, the script prints a
+message and skips them.
 """
 
 import hashlib
@@ -24,51 +24,51 @@ IMAGES = DOCS / "images"
 EXAMPLES = DOCS / "examples" / "three-rate"
 DATE = "2026-03-01"
 
-#: What the README shows of the report: the part of the page that is seen first.
-VIEW = {"width": 1000, "height": 1180}
-#: Of the application's window.
-WINDOW = {"width": 1100, "height": 860}
+#: Viewport of the report screenshot in the README, pixels.
+REPORT_VIEWPORT = {"width": 1000, "height": 1180}
+#: Viewport of the application screenshots, pixels.
+APPLICATION_VIEWPORT = {"width": 1100, "height": 860}
 
 GALLERY = DOCS / "gallery"
-#: A cell of a page of the gallery.
-CELL = re.compile(
+#: Code cell of a gallery page.
+CODE_CELL = re.compile(
     r"^```\{code-cell\} python3\n(?:---\n.*?^---\n)?(.*?)^```$", re.MULTILINE | re.DOTALL
 )
 
 
-def run(*words: str | Path) -> None:
-    """Run one command of counterspin; stop where it fails."""
-    status = main([str(word) for word in words])
+def run_command(*arguments: str | Path) -> None:
+    """Run a counterspin command; exit if it fails."""
+    status = main([str(argument) for argument in arguments])
     if status:
         sys.exit(status)
 
 
-def draw_the_demonstration() -> None:
+def draw_demonstration() -> None:
     """Draw the figure of the demonstration."""
     with tempfile.TemporaryDirectory() as folder:
-        run("demo", "-o", folder)
+        run_command("demo", "-o", folder)
         shutil.copy(Path(folder) / "displacement.svg", IMAGES)
 
 
-def calibrate_the_example() -> None:
+def calibrate_example() -> None:
     """Simulate the example campaign and write its result."""
     with tempfile.TemporaryDirectory() as folder:
-        run("simulate", EXAMPLES / "campaign.toml", "-o", folder)
-        run("calibrate", folder, "--json", EXAMPLES / "result.json", "--overwrite")
+        run_command("simulate", EXAMPLES / "campaign.toml", "-o", folder)
+        run_command("calibrate", folder, "--json", EXAMPLES / "result.json", "--overwrite")
 
 
-def write_the_examples() -> None:
-    """Write report and certificate of the example result."""
+def write_example_documents() -> None:
+    """Write the report and certificate of the example result."""
     result, lab = EXAMPLES / "result.json", EXAMPLES / "LAB.toml"
     for name in ("report.html", "report.pdf"):
-        run("report", result, "-o", EXAMPLES / name, "--date", DATE, "--overwrite")
+        run_command("report", result, "-o", EXAMPLES / name, "--date", DATE, "--overwrite")
     for name in ("certificate.xml", "certificate.pdf"):
-        (EXAMPLES / name).unlink(missing_ok=True)  # no command replaces a certificate
-        run("certificate", result, lab, "-o", EXAMPLES / name)
+        (EXAMPLES / name).unlink(missing_ok=True)  # commands never overwrite a certificate
+        run_command("certificate", result, lab, "-o", EXAMPLES / name)
 
 
-def draw_the_tutorial() -> None:
-    """Draw a record, and what the uncertainty of its result consists of, for the tutorial."""
+def draw_tutorial_figures() -> None:
+    """Draw a record and the uncertainty budget of its result for the tutorial."""
     import numpy as np
 
     import counterspin as cs
@@ -79,43 +79,43 @@ def draw_the_tutorial() -> None:
     campaign = cs.simulate(cs.read_campaign(EXAMPLES / "campaign.toml"))
     result = cs.calibrate(campaign)
     columns = dict(campaign.record_at(campaign.runs[-1].record).columns)
-    time, east = (np.asarray(columns[name]) for name in ("time_s", "east_m"))
-    seconds = time <= 5.0
-    recorded = Plot(
+    time, displacement = (np.asarray(columns[name]) for name in ("time_s", "east_m"))
+    is_shown = time <= 5.0
+    record_plot = Plot(
         title="Five seconds of a record: the displacement to the east, one revolution a second",
         x_label="time, s",
         y_label="displacement, m",
-        series=(PlotSeries("recorded", tuple(time[seconds]), tuple(east[seconds])),),
+        series=(PlotSeries("recorded", tuple(time[is_shown]), tuple(displacement[is_shown])),),
     )
     residuals = result.residuals("Qx", campaign.runs[-1].name)
-    some = residuals.gather_every(max(1, residuals.height // 100))
-    error = Plot(
+    thinned = residuals.gather_every(max(1, residuals.height // 100))
+    error_plot = Plot(
         title="The whole record minus the true motion, and the fit through it",
         x_label="time, s",
         y_label="error, m",
         series=(
-            PlotSeries("recorded", tuple(some["time"]), tuple(some["error"]), kind="points"),
-            PlotSeries("fitted", tuple(some["time"]), tuple(some["fitted"]), colour=1),
+            PlotSeries("recorded", tuple(thinned["time"]), tuple(thinned["error"]), kind="points"),
+            PlotSeries("fitted", tuple(thinned["time"]), tuple(thinned["fitted"]), colour=1),
         ),
     )
-    save_figure([recorded, error], IMAGES / "record.svg", overwrite=True)
+    save_figure([record_plot, error_plot], IMAGES / "record.svg", overwrite=True)
     bars = budget_bars("Qx", result.accelerometers["Qx"], "K_II")
     assert bars is not None
     save_figure([bars], IMAGES / "budget.svg", overwrite=True)
 
 
-def cells_of(page: Path) -> list[str]:
-    """Return the code of a gallery page's cells."""
-    return CELL.findall(page.read_text(encoding="utf-8"))
+def read_cells(page: Path) -> list[str]:
+    """Return the code of the cells of a gallery page."""
+    return CODE_CELL.findall(page.read_text(encoding="utf-8"))
 
 
-def mark_of(page: Path) -> str:
-    """Return what a page's thumbnail carries: it shows whether the page has changed since."""
-    return hashlib.sha256("\0".join(cells_of(page)).encode()).hexdigest()[:16]
+def hash_cells(page: Path) -> str:
+    """Return the hash of the cells of a page, stored in its thumbnail to detect changes."""
+    return hashlib.sha256("\0".join(read_cells(page)).encode()).hexdigest()[:16]
 
 
-def draw_the_thumbnails() -> None:
-    """Run the pages of the gallery, and keep the first picture of each, small."""
+def draw_thumbnails() -> None:
+    """Run the gallery pages; save the first figure of each as a thumbnail."""
     import matplotlib as mpl
     from cycler import cycler
 
@@ -125,22 +125,22 @@ def draw_the_thumbnails() -> None:
     plt.rcParams["figure.constrained_layout.use"] = True
     plt.rcParams["axes.prop_cycle"] = cycler(color=COLOURS)
     for page in sorted(set(GALLERY.glob("*.md")) - {GALLERY / "index.md"}):
-        space: dict[str, Any] = {}
+        namespace: dict[str, Any] = {}
         with chdir(GALLERY):
-            for cell in cells_of(page):
-                exec(compile(cell, page.name, "exec"), space)
+            for cell in read_cells(page):
+                exec(compile(cell, page.name, "exec"), namespace)
                 if plt.get_fignums():
                     break
         plt.figure(plt.get_fignums()[0])
         plt.gcf().set_size_inches(6.0, 3.4)
-        place = IMAGES / f"gallery-{page.stem}.png"
-        said = {"Software": None, "Comment": mark_of(page)}
-        plt.savefig(place, dpi=60, bbox_inches="tight", metadata=said)
+        image_file = IMAGES / f"gallery-{page.stem}.png"
+        metadata = {"Software": None, "Comment": hash_cells(page)}
+        plt.savefig(image_file, dpi=60, bbox_inches="tight", metadata=metadata)
         plt.close("all")
 
 
-def photograph() -> None:
-    """Take pictures of report and application as a browser shows them."""
+def take_screenshots() -> None:
+    """Take screenshots of report and application."""
     chromium = os.environ.get("COUNTERSPIN_CHROMIUM") or shutil.which("chromium")
     if chromium is None:
         print("No screenshots: there is no Chromium (COUNTERSPIN_CHROMIUM may name one).")
@@ -149,38 +149,38 @@ def photograph() -> None:
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        photograph_the_report(browser)
-        photograph_the_application(browser)
+        take_report_screenshots(browser)
+        take_application_screenshots(browser)
         browser.close()
 
 
-def photograph_the_report(browser: Any) -> None:
-    """Take pictures of the example report, light and dark."""
-    page_of_report = (EXAMPLES / "report.html").as_uri()
+def take_report_screenshots(browser: Any) -> None:
+    """Take screenshots of the example report in light and dark mode."""
+    report_url = (EXAMPLES / "report.html").as_uri()
     for scheme in ("light", "dark"):
-        page = browser.new_page(viewport=VIEW, color_scheme=scheme)
-        page.goto(page_of_report)
+        page = browser.new_page(viewport=REPORT_VIEWPORT, color_scheme=scheme)
+        page.goto(report_url)
         page.screenshot(path=IMAGES / f"report-{scheme}.png")
         page.close()
 
 
-def photograph_the_application(browser: Any) -> None:
-    """Take pictures of the application: an import before it is written, and a result."""
+def take_application_screenshots(browser: Any) -> None:
+    """Take screenshots of the application: an import preview and a result."""
     from counterspin.application.access_control import Credentials
     from counterspin.application.app_state import AppState
     from counterspin.application.served_folder import ServedFolder
     from counterspin.application.server import make_server, open_listener
 
-    with tempfile.TemporaryDirectory() as place, open_listener(0) as listener:
-        folder = Path(place) / "campaigns"
-        run("simulate", EXAMPLES / "campaign.toml", "-o", folder / "first")
-        run("calibrate", folder / "first", "--json", folder / "first" / "result.json")
+    with tempfile.TemporaryDirectory() as parent, open_listener(0) as listener:
+        folder = Path(parent) / "campaigns"
+        run_command("simulate", EXAMPLES / "campaign.toml", "-o", folder / "first")
+        run_command("calibrate", folder / "first", "--json", folder / "first" / "result.json")
         app, credentials = AppState(ServedFolder(folder)), Credentials(listener.getsockname()[1])
         server = make_server(app, credentials)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         try:
-            page = browser.new_page(viewport=WINDOW)
+            page = browser.new_page(viewport=APPLICATION_VIEWPORT)
             page.goto(credentials.link)
             page.get_by_label("Folder for the new campaign").fill("mine")
             records = sorted((folder / "first").glob("*.csv"))
@@ -201,9 +201,9 @@ def photograph_the_application(browser: Any) -> None:
 if __name__ == "__main__":
     os.environ["SOURCE_DATE_EPOCH"] = "1772323200"  # DATE, for the certificate
     IMAGES.mkdir(exist_ok=True)
-    draw_the_demonstration()
-    calibrate_the_example()
-    write_the_examples()
-    draw_the_tutorial()
-    draw_the_thumbnails()
-    photograph()
+    draw_demonstration()
+    calibrate_example()
+    write_example_documents()
+    draw_tutorial_figures()
+    draw_thumbnails()
+    take_screenshots()

@@ -1,7 +1,7 @@
-"""What each violation of the model does to a tumble, and what is said: `make violations`.
+"""Effect of each model violation on a tumble test, and its findings: `make violations`.
 
-Each row of the table, the second one in violations.md, is one campaign of readings at rest, made
-and calibrated as those of `violations.py` are.
+Each row of the second table in violations.md is one campaign of static readings, simulated and
+calibrated as in `violations.py`.
 """
 
 import tempfile
@@ -15,24 +15,24 @@ from counterspin.physics.terms import READING_TERMS, TERMS
 from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.simulation.simulate import simulate
 from kept_table import DOCS, KeptTable
-from violations import Row, Violation, lines_of, replaced, row_between
+from violations import Row, Violation, compare_results, format_rows, replace_pieces
 
-#: Tumbles: how many angles a turn has, and how far on the accelerometer is mounted in each turn.
-WAYS: Final = {
+#: Tumble test -> positions per turn, and mounting angle of each turn, deg.
+TUMBLE_TESTS: Final = {
     "12 positions": (12, (0,)),
     "24 positions": (24, (0,)),
     "12 positions in two mountings": (12, (0, 90)),
 }
 
-ASKED: Final = ("K_F", "K_I", "K_II", "delta_O")
+TERMS_OF_INTEREST: Final = ("K_F", "K_I", "K_II", "delta_O")
 
-_ASSUMING: Final = {"[model]\n": '[model]\nassume = "all"\n'}
+_FIX_UNSTATED: Final = {"[model]\n": '[model]\nassume = "all"\n'}
 
 
-def description(positions: int, mounted: tuple[int, ...]) -> str:
-    """Return a usual tumble: input axis up at 0, each reading known to 2 ug.
+def describe_tumble(positions: int, mounting_angles: tuple[int, ...]) -> str:
+    """Return the reference tumble test: input axis up at 0, reading uncertainty 2 ug.
 
-    mounted: How far on the accelerometer is mounted on the head in each turn, deg.
+    mounting_angles: Mounting angle of the accelerometer on the head in each turn, deg.
     """
     pieces = [
         f"""schema = 1
@@ -49,7 +49,7 @@ K_PP = "0 ± 2 ug/g^2"
 K_OO = "0 ± 2 ug/g^2"
 
 [model]
-terms = [{", ".join(f'"{symbol}"' for symbol in ASKED)}]
+terms = [{", ".join(f'"{symbol}"' for symbol in TERMS_OF_INTEREST)}]
 
 [truth.Qx]
 K_F = "0.002 g"
@@ -61,74 +61,74 @@ delta_O = "1e-4 rad"
 seed = 4
 """
     ]
-    for on in mounted:
+    for mounting_angle in mounting_angles:
         for n in range(positions):
-            shown = 360.0 * n / positions
+            head_angle = 360.0 * n / positions
             pieces.append(
                 f"""
 [[runs]]
-name = "{shown:g} deg{f", mounted {on} deg on" if on else ""}"
+name = "{head_angle:g} deg{f", mounted {mounting_angle} deg on" if mounting_angle else ""}"
 motion = "static"
-attitude = "{shown + on:g} deg about north"
-head = "{shown:g} deg"
+attitude = "{head_angle + mounting_angle:g} deg about north"
+head = "{head_angle:g} deg"
 reading = "0 ± 2e-6 g"
 """
             )
     return "".join(pieces)
 
 
-def violations() -> list[Violation]:
-    """Return one for each term that is not asked for and acts at rest, at its typical size."""
+def list_violations() -> list[Violation]:
+    """Return one violation for each nuisance term that acts at rest, at its typical size."""
     rows = []
     machine = [row for row in READING_TERMS.values() if row.scope == "machine"]
     for row in (*TERMS.values(), *machine):
-        if row.symbol in ASKED or (row.motions and "static" not in row.motions):
+        if row.symbol in TERMS_OF_INTEREST or (row.motions and "static" not in row.motions):
             continue
         unit, factor = find_display_unit(row.unit)
         size = f"{format_number(row.typical * factor, 2)} {unit}"
-        of = "machine" if row.motions else "Qx"
+        owner = "machine" if row.motions else "Qx"
         line = f'"{row.symbol}" = "{row.typical!r} {row.unit}"\n'
-        rows.append(Violation(row.symbol, size, row.symbol, truth=f"[truth.{of}]\n{line}"))
+        rows.append(Violation(row.symbol, size, row.symbol, truth=f"[truth.{owner}]\n{line}"))
     return rows
 
 
-def world_of(violation: Violation | None, usual: str) -> str:
-    """Return the description of a world with a violation, or with none."""
+def describe_world(violation: Violation | None, reference: str) -> str:
+    """Return the simulated campaign with a violation, or without one."""
     if violation is None:
-        return usual
+        return reference
     table, _, line = violation.truth.partition("\n")
-    if table in usual:
-        return replaced(usual, {f"{table}\n": f"{table}\n{line}"})
-    return f"{usual}\n{violation.truth}"
+    if table in reference:
+        return replace_pieces(reference, {f"{table}\n": f"{table}\n{line}"})
+    return f"{reference}\n{violation.truth}"
 
 
-def calibrated(world: str) -> Iterator[Result]:
-    """Yield the calibrations of a tumble, with all assumed that is not stated, and nothing."""
+def calibrate_world(world: str) -> Iterator[Result]:
+    """Yield the calibrations of a tumble test with unstated terms fixed, and with none fixed."""
     with tempfile.TemporaryDirectory() as folder:
         campaign = Path(folder) / "campaign.toml"
         (Path(folder) / "world.toml").write_text(world, encoding="utf-8")
         simulate(Path(folder) / "world.toml", folder, overwrite=True)
         stated = campaign.read_text(encoding="utf-8")
-        for text in (replaced(stated, _ASSUMING), stated):
+        for text in (replace_pieces(stated, _FIX_UNSTATED), stated):
             campaign.write_text(text, encoding="utf-8")
             yield calibrate(folder)
 
 
-def rows(way: str) -> Iterator[Row]:
-    """Yield the rows of one of the ways to take a tumble."""
-    usual = description(*WAYS[way])
-    clean = list(calibrated(usual))
-    for violation in violations():
-        found = list(calibrated(world_of(violation, usual)))
-        yield row_between(violation, way, clean, found)
+def calibrate_violations(tumble: str) -> Iterator[Row]:
+    """Yield the rows of one tumble test."""
+    reference = describe_tumble(*TUMBLE_TESTS[tumble])
+    clean = list(calibrate_world(reference))
+    for violation in list_violations():
+        violated = list(calibrate_world(describe_world(violation, reference)))
+        yield compare_results(violation, tumble, clean, violated)
 
 
-TABLE: Final = KeptTable("tumbled", DOCS / "violations.md", Row, lines_of)
+TABLE: Final = KeptTable("tumbled", DOCS / "violations.md", Row, format_rows)
 
 
 def main() -> None:
-    """Make the table again."""
-    table = [row for way in WAYS for row in rows(way)]
+    """Recompute the table."""
+    table = [row for tumble in TUMBLE_TESTS for row in calibrate_violations(tumble)]
     TABLE.keep(table)
     for row in table:
         if row.silent:

@@ -1,8 +1,8 @@
-"""Whether intervals hold in good campaigns of any kind: `make coverage`.
+"""Coverage of intervals in random good campaigns: `make coverage`.
 
-Each trial draws a campaign: one or two accelerometers, what is recorded, senses of rotation, noise
-that is stated or not, gaps, what is known beforehand, and every error that the description does not
-state, at its typical size. It is simulated, described, and calibrated as a user would.
+Each trial draws a campaign: one or two accelerometers, the observable, senses of rotation, stated
+or unstated noise, gaps, priors, and every error that the description does not state, at its typical
+size. The campaign is simulated, described and calibrated as a user would do it.
 """
 
 import tempfile
@@ -19,23 +19,23 @@ from counterspin.calibration.model import make_unknowns
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.physics.terms import ACCELEROMETER_TERMS, term
 from counterspin.simulation.simulate import simulate
-from kept_table import DOCS, UNITS, KeptTable, frame, table_of
+from kept_table import DOCS, UNITS, KeptTable, describe_site, format_table
 
-#: Campaigns of each kind.
+#: Number of campaigns of each kind.
 TRIALS: Final = 300
 
-#: What is asked for.
+#: Terms of interest.
 TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
 
-#: Standard deviations from which the true coefficients are drawn.
-SIZES: Final = {"K_F": 5e-3, "K_I": 2e-3, "K_II": 3e-5, "K_III": 3e-6}
+#: Standard deviations of the true coefficients.
+COEFFICIENT_SD: Final = {"K_F": 5e-3, "K_I": 2e-3, "K_II": 3e-5, "K_III": 3e-6}
 
 #: White noise of each observable, and a walk, in the units of [noise].
-WHITE: Final = {"displacement": 0.01, "velocity": 1e-3, "specific_force": 1e-3}
-WALK: Final = 3e-4
+WHITE_NOISE: Final = {"displacement": 0.01, "velocity": 1e-3, "specific_force": 1e-3}
+RANDOM_WALK: Final = 3e-4
 
-#: What the description states of the site and of the centrifuge, SI.
-STATED: Final = {
+#: Stated values of site and centrifuge, SI.
+STATED_INPUTS: Final = {
     "site.gravity": 9.8066,
     "site.latitude": float(np.radians(45.75)),
     "centrifuge.radius": 2.5,
@@ -44,20 +44,20 @@ STATED: Final = {
 
 @dataclass(frozen=True)
 class Row:
-    """What came out of one kind of campaigns.
+    """Results of one kind of campaign.
 
     Attributes
     ----------
     words, campaigns
-        Which, and how many.
+        The kind, and the number of campaigns.
     values
-        By coefficient, how many errors there are.
+        By coefficient, the number of errors.
     z_rms
         By coefficient, rms of the errors over u, as normal equivalents.
     covered
-        Part of the 95 % intervals, of all coefficients, that hold the truth.
+        Fraction of the 95 % intervals of all coefficients that contain the true value.
     blamed
-        Part of the campaigns that are not good.
+        Fraction of the campaigns with a state other than good.
     """
 
     words: str
@@ -69,7 +69,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnCampaign:
     """One campaign: its description without truth, and the true coefficients."""
 
     described: str
@@ -80,17 +80,17 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Kind:
-    """What is drawn, or settled, of a campaign.
+    """Fixed properties of a kind of campaign.
 
     Attributes
     ----------
     unstated
-        Whether it has errors that its description does not state, or is assumed to have none.
+        Whether it has unstated errors; otherwise all unstated terms are fixed at nominal.
     noise
-        How its description gives the noise: "stated", "found" (left out) or "estimate"; None: drawn
-        from the first two.
+        Noise in the description: "stated", "found" (omitted) or "estimate"; None: drawn from the
+        first two.
     first
-        Seed of the first one.
+        Seed of the first campaign.
     """
 
     unstated: bool
@@ -98,57 +98,60 @@ class Kind:
     first: int = 7000
 
 
-def draw(rng: np.random.Generator, kind: Kind) -> Drawn:
-    """Return a campaign of a kind."""
-    unstated = kind.unstated
-    observable = str(rng.choice([*WHITE], p=[0.6, 0.2, 0.2]))
+def draw_campaign(rng: np.random.Generator, kind: Kind) -> DrawnCampaign:
+    """Draw a campaign of a kind."""
+    has_unstated = kind.unstated
+    observable = str(rng.choice([*WHITE_NOISE], p=[0.6, 0.2, 0.2]))
     axes = ["east", "north"] if rng.random() < 0.7 else [str(rng.choice(["east", "north"]))]
     if rng.random() < 0.5:
         axes.reverse()
-    white = WHITE[observable] * 10.0 ** rng.uniform(-1.0, 0.5)
-    walk = WALK if rng.random() < 0.3 and observable != "specific_force" else 0.0
+    white = WHITE_NOISE[observable] * 10.0 ** rng.uniform(-1.0, 0.5)
+    walk = RANDOM_WALK if rng.random() < 0.3 and observable != "specific_force" else 0.0
     noise = [f'{observable} = "{white!r} {UNITS[observable]}"']
     noise += [f'acceleration = "{walk!r} m/s^2/Hz^0.5"'] if walk else []
-    how = kind.noise, "stated" if rng.random() < 0.5 else "found"
+    noise_modes = kind.noise, "stated" if rng.random() < 0.5 else "found"
     stated = {
         "stated": noise,
         "found": [],
         "estimate": [f'{line.partition(" ")[0]} = "estimate"' for line in noise],
-    }[how[0] or how[1]]
+    }[noise_modes[0] or noise_modes[1]]
     truth: dict[str, dict[str, float]] = {}
-    tables = []
+    accelerometer_tables = []
     for axis in axes:
-        own = {s: term(s).nominal + size * _credible(rng, s) for s, size in SIZES.items()}
-        truth[f"Q{axis}"] = own
-        known = []
+        coefficients = {
+            s: term(s).nominal + size * _draw_plausible(rng, s)
+            for s, size in COEFFICIENT_SD.items()
+        }
+        truth[f"Q{axis}"] = coefficients
+        priors = []
         for symbol, u, key in (("K_F", 2e-6, "bias"), ("K_I", 5e-6, "scale_factor")):
             if rng.random() < 0.5:
-                value = own[symbol] + u * rng.standard_normal()
-                known.append(f'{key} = "{value!r} ± {u} {term(symbol).unit}"')
+                value = coefficients[symbol] + u * rng.standard_normal()
+                priors.append(f'{key} = "{value!r} ± {u} {term(symbol).unit}"')
         pendulous = "down" if axis != "up" else "north"
         column = f'{observable} = {{ column = "{axis}", unit = "{UNITS[observable]}" }}'
-        lines = [f'input_axis = "{axis}"', f'pendulous_axis = "{pendulous}"', *known, column]
-        tables.append(f"[accelerometers.Q{axis}]\n" + "\n".join(lines))
+        lines = [f'input_axis = "{axis}"', f'pendulous_axis = "{pendulous}"', *priors, column]
+        accelerometer_tables.append(f"[accelerometers.Q{axis}]\n" + "\n".join(lines))
     rates = sorted({round(float(rate), 3) for rate in rng.uniform(0.25, 1.2, rng.integers(3, 6))})
     senses = rng.choice([-1.0, 1.0], len(rates)) if rng.random() < 0.4 else np.ones(len(rates))
-    made = [
+    run_tables = [
         f'[[runs]]\nname = "run{i}"\nrate = "{float(sense) * rate!r} rev/s"\nrecord = "run{i}.csv"'
         for i, (rate, sense) in enumerate(zip(rates, senses, strict=True), start=1)
     ]
-    asked = ", ".join(f'"{symbol}"' for symbol in TERMS)
-    assume = "" if unstated else 'assume = "all"\n'
-    model = f"[model]\nterms = [{asked}]\n{assume}"
-    head = frame(
+    quoted_terms = ", ".join(f'"{symbol}"' for symbol in TERMS)
+    assume = "" if has_unstated else 'assume = "all"\n'
+    model = f"[model]\nterms = [{quoted_terms}]\n{assume}"
+    site = describe_site(
         *(
-            f"{STATED[symbol]!r} {term(symbol).unit}"
+            f"{STATED_INPUTS[symbol]!r} {term(symbol).unit}"
             for symbol in ("site.gravity", "site.latitude", "centrifuge.radius")
         )
     )
-    table = "[noise]\n" + "\n".join(stated) if stated else ""
-    described = "\n\n".join([head, *tables, table, model, *made]) + "\n"
-    off = _unstated(described, rng) if unstated else {}
+    noise_table = "[noise]\n" + "\n".join(stated) if stated else ""
+    described = "\n\n".join([site, *accelerometer_tables, noise_table, model, *run_tables]) + "\n"
+    errors = _draw_unstated(described, rng) if has_unstated else {}
     for name in truth:
-        truth[name] |= off.get(name, {})
+        truth[name] |= errors.get(name, {})
     simulation = (
         f'[simulation]\nsampling_rate = "16 Hz"\nrevolutions = {int(rng.integers(15, 40))}\n'
         f"seed = {int(rng.integers(1 << 30))}\n"
@@ -157,40 +160,42 @@ def draw(rng: np.random.Generator, kind: Kind) -> Drawn:
         f"[truth.{name}]\n" + "\n".join(f'"{s}" = "{v!r} {term(s).unit}"' for s, v in own.items())
         for name, own in truth.items()
     ]
-    true_tables += list(_shared(off))
-    simulated_runs = [run + _tilts(off.get(f"run{i}", {})) for i, run in enumerate(made, start=1)]
+    true_tables += list(_format_shared_truth(errors))
+    simulated_runs = [
+        run + _format_tilts(errors.get(f"run{i}", {})) for i, run in enumerate(run_tables, start=1)
+    ]
     true_noise = "[truth.noise]\n" + "\n".join([*noise, 'angle = "1e-6 rad"'])
     simulated = "\n\n".join(
-        [head, *tables, model, *simulated_runs, simulation, *true_tables, true_noise]
+        [site, *accelerometer_tables, model, *simulated_runs, simulation, *true_tables, true_noise]
     )
-    return Drawn(described, simulated + "\n", truth, int(rng.integers(0, 3)))
+    return DrawnCampaign(described, simulated + "\n", truth, int(rng.integers(0, 3)))
 
 
-def _credible(rng: np.random.Generator, symbol: str) -> float:
-    """Draw a normal variable until an instrument with so many of a term's sizes is credible."""
+def _draw_plausible(rng: np.random.Generator, symbol: str) -> float:
+    """Return a standard normal draw that keeps the coefficient within its plausible limit."""
     while True:
         drawn = float(rng.standard_normal())
-        if abs(drawn) * SIZES[symbol] < term(symbol).limit:
+        if abs(drawn) * COEFFICIENT_SD[symbol] < term(symbol).limit:
             return drawn
 
 
-def _unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, float]]:
-    """Draw everything that a campaign does not state: owner -> symbol -> value."""
+def _draw_unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, float]]:
+    """Draw all unstated errors of a campaign: owner -> symbol -> value."""
     with tempfile.TemporaryDirectory() as folder:
-        campaign = _written(Path(folder), described)
+        campaign = _write_campaign(Path(folder), described)
         unknowns = make_unknowns(campaign).unknowns
-    off: dict[str, dict[str, float]] = {}
+    errors: dict[str, dict[str, float]] = {}
     for unknown in unknowns:
         if unknown.has_default_prior:
             value, u = unknown.prior
-            value += STATED.get(unknown.symbol, 0.0)
-            off.setdefault(unknown.owner, {})[unknown.symbol] = value + u * rng.standard_normal()
-    return off
+            value += STATED_INPUTS.get(unknown.symbol, 0.0)
+            errors.setdefault(unknown.owner, {})[unknown.symbol] = value + u * rng.standard_normal()
+    return errors
 
 
-def _shared(off: dict[str, dict[str, float]]) -> Iterator[str]:
+def _format_shared_truth(errors: dict[str, dict[str, float]]) -> Iterator[str]:
     families: dict[str, list[str]] = {}
-    for symbol, value in off.get("", {}).items():
+    for symbol, value in errors.get("", {}).items():
         if symbol not in ACCELEROMETER_TERMS:
             family, _, key = symbol.partition(".")
             families.setdefault(family, []).append(f'{key} = "{value!r} {term(symbol).unit}"')
@@ -198,21 +203,21 @@ def _shared(off: dict[str, dict[str, float]]) -> Iterator[str]:
         yield f"[truth.{family}]\n" + "\n".join(lines)
 
 
-def _tilts(own: dict[str, float]) -> str:
-    if not own:
+def _format_tilts(tilts: dict[str, float]) -> str:
+    if not tilts:
         return ""
-    keys = (f'{s.removeprefix("platform.")} = "{v!r} rad"' for s, v in own.items())
+    keys = (f'{s.removeprefix("platform.")} = "{v!r} rad"' for s, v in tilts.items())
     return f"\ntruth = {{ {', '.join(keys)} }}"
 
 
-def _written(folder: Path, text: str) -> Campaign:
+def _write_campaign(folder: Path, text: str) -> Campaign:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
     return read_campaign(folder)
 
 
-def _with_gaps(folder: Path, rng: np.random.Generator, gaps: int) -> None:
-    """Take rows out of each record."""
+def _add_gaps(folder: Path, rng: np.random.Generator, gaps: int) -> None:
+    """Remove rows from each record."""
     for file in sorted(folder.glob("run*.csv")):
         head, *rows = file.read_text(encoding="utf-8").splitlines()
         for _ in range(gaps):
@@ -221,33 +226,33 @@ def _with_gaps(folder: Path, rng: np.random.Generator, gaps: int) -> None:
         file.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
 
 
-def tried(seed: int, kind: Kind) -> tuple[list[tuple[str, float, bool]], Any]:
-    """Return symbol, normal equivalent of the error, whether it is covered; and the result."""
+def run_trial(seed: int, kind: Kind) -> tuple[list[tuple[str, float, bool]], Any]:
+    """Return (symbol, normal equivalent of the error, is covered) tuples, and the result."""
     rng = np.random.default_rng(seed)
-    drawn = draw(rng, kind)
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place) / "records"
-        simulate(_written(Path(place) / "true", drawn.simulated), folder)
+    campaign = draw_campaign(rng, kind)
+    with tempfile.TemporaryDirectory() as parent:
+        folder = Path(parent) / "records"
+        simulate(_write_campaign(Path(parent) / "true", campaign.simulated), folder)
         (folder / "campaign.toml").unlink()
-        _with_gaps(folder, rng, drawn.gaps)
-        result = calibrate(_written(folder, drawn.described))
+        _add_gaps(folder, rng, campaign.gaps)
+        result = calibrate(_write_campaign(folder, campaign.described))
     errors = []
-    for name, own in result.accelerometers.items():
-        for symbol, c in own.coefficients.items():
+    for name, accelerometer in result.accelerometers.items():
+        for symbol, c in accelerometer.coefficients.items():
             if c.estimated and c.value is not None and c.u:
-                z = (c.value - drawn.truth[name][symbol]) / c.u
+                z = (c.value - campaign.truth[name][symbol]) / c.u
                 low, high = c.interval()
                 normal = float(ndtri(stdtr(min(c.dof or 1e9, 1e9), -abs(z)))) * -np.sign(z)
-                errors.append((symbol, normal, low <= drawn.truth[name][symbol] <= high))
+                errors.append((symbol, normal, low <= campaign.truth[name][symbol] <= high))
     return errors, result
 
 
-def row_of(words: str, kind: Kind, trials: int) -> Row:
-    """Return what comes out of so many campaigns."""
+def run_trials(words: str, kind: Kind, trials: int) -> Row:
+    """Simulate and calibrate campaigns of a kind; return their row."""
     by_symbol: dict[str, list[float]] = {}
     covered, blamed = [], 0
     for trial in range(trials):
-        errors, result = tried(kind.first + trial, kind)
+        errors, result = run_trial(kind.first + trial, kind)
         blamed += result.state != "good"
         for symbol, z, holds in errors:
             by_symbol.setdefault(symbol, []).append(z)
@@ -267,7 +272,7 @@ def render(rows: Sequence[Row]) -> str:
     head = {"Campaigns": "---", "Number": "---:"}
     head |= {f"z rms of {symbol}": "---:" for symbol in TERMS}
     head |= {"95 % intervals that contain the true value": "---:", "state other than good": "---:"}
-    return table_of(
+    return format_table(
         head,
         [
             [
@@ -293,4 +298,4 @@ KINDS: Final = {
 
 
 if __name__ == "__main__":
-    TABLE.keep([row_of(words, kind, TRIALS) for words, kind in KINDS.items()])
+    TABLE.keep([run_trials(words, kind, TRIALS) for words, kind in KINDS.items()])

@@ -1,9 +1,9 @@
-"""What each violation of the model does to a calibration, and what is said: `make violations`.
+"""Effect of each model violation on a calibration, and its findings: `make violations`.
 
-Each row of the table in violations.md is one campaign: records are simulated in a world that
-differs from the description in one thing, at a realistic size, and are calibrated by the
-description twice: with everything assumed to be perfect that it does not state, and with nothing
-assumed. The same campaign without it is the measure. Nothing is linearised.
+Each row of the table in violations.md is one campaign. Its simulation differs from its description
+in one quantity, by a realistic amount. The records are calibrated twice: with all unstated terms
+fixed at nominal, and with none fixed. Shifts are relative to the same campaign without the
+violation. Nothing is linearised.
 """
 
 import math
@@ -18,38 +18,46 @@ from counterspin.calibration.result import Result
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS, term
 from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.simulation.simulate import simulate
-from kept_table import DOCS, UNITS, KeptTable, channel, frame, runs, table_of
+from kept_table import (
+    DOCS,
+    UNITS,
+    KeptTable,
+    describe_channel,
+    describe_runs,
+    describe_site,
+    format_table,
+)
 
-#: Beyond this many standard uncertainties a shift must not go unsaid.
-SILENT_UP_TO: Final = 3.0
+#: A larger shift without a finding is an error; in standard uncertainties.
+SILENT_SHIFT_LIMIT: Final = 3.0
 
-#: Shifts below this many standard uncertainties are not shown.
-SHOWN_FROM: Final = 0.1
+#: Smaller shifts are not shown; in standard uncertainties.
+SHOWN_SHIFT_LIMIT: Final = 0.1
 
-#: Noise of a sample of what is recorded.
+#: Observable -> noise of a sample.
 NOISE: Final = {"displacement": "0.01 m", "velocity": "1e-3 m/s", "specific_force": "1e-4 m/s^2"}
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large a campaign is: samples a second, and revolutions of each run."""
+    """Size of a campaign: sampling rate in Hz, and revolutions of each run."""
 
     sampling_rate: float
     revolutions: int
 
 
-def description(observable: str, size: Size) -> str:
-    """Return the usual campaign: three rates, level, priors of bias and scale factor."""
-    place = frame("9.8066 ± 1e-5 m/s^2", "45.75 ± 0.001 deg", "2.5 ± 1e-5 m")
-    return f"""{place}
+def describe_campaign(observable: str, size: Size) -> str:
+    """Return the reference campaign: three rates, level, priors of bias and scale factor."""
+    site = describe_site("9.8066 ± 1e-5 m/s^2", "45.75 ± 0.001 deg", "2.5 ± 1e-5 m")
+    return f"""{site}
 [accelerometers.Qx]
-{channel(observable, "east")}
+{describe_channel(observable, "east")}
 bias = "0.00503 ± 2e-6 g"
 scale_factor = "1.00197 ± 5e-6 g/g"
 
 [noise]
 {observable} = "{NOISE[observable]}"
-{runs()}
+{describe_runs()}
 [simulation]
 sampling_rate = "{size.sampling_rate} Hz"
 seed = 2
@@ -66,24 +74,24 @@ ripple = [{{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }}]
 """
 
 
-#: What takes everything as perfect that a description does not state.
-ASSUMING: Final = {"[noise]\n": '[model]\nassume = "all"\n\n[noise]\n'}
+#: Fixes all unstated terms at nominal.
+FIX_UNSTATED: Final = {"[noise]\n": '[model]\nassume = "all"\n\n[noise]\n'}
 
-#: Temperatures of the runs in a world in which it becomes warmer.
-WARMING: Final = {
+#: Adds rising temperatures to the simulated runs.
+WARMING_RUNS: Final = {
     f'record = "run{run}.csv"': f'record = "run{run}.csv"\ntemperature = "{kelvin} degC"'
     for run, kelvin in ((1, 22.5), (2, 23.0), (3, 23.5))
 }
 
 
-#: The same in one in which it becomes warmer and then colder.
-UP_AND_DOWN: Final = {
+#: Adds a temperature cycle to the simulated runs.
+TEMPERATURE_CYCLE: Final = {
     f'record = "run{run}.csv"': f'record = "run{run}.csv"\ntemperature = "{celsius} degC"'
     for run, celsius in ((1, 20.0), (2, 23.0), (3, 20.0))
 }
 
 
-FULL: Final = Size(50.0, 100)
+FULL_SIZE: Final = Size(50.0, 100)
 
 #: Delay of a sensor of 592 Hz with a damping ratio of 1.5, s.
 DELAY: Final = 1.5 / (math.pi * 592.0)
@@ -91,22 +99,22 @@ DELAY: Final = 1.5 / (math.pi * 592.0)
 
 @dataclass(frozen=True)
 class Violation:
-    """One thing in which the world differs from the description.
+    """One difference between the simulation and the description.
 
     Attributes
     ----------
     name, size
-        What is shown of it.
+        Texts for the table.
     world
-        Pieces of the usual description, and what stands there in the world.
+        Text of the reference campaign -> its replacement in the simulation.
     stated
-        Likewise, what the description says in their place.
+        Text of the reference campaign -> its replacement in the description.
     truth
         Lines of [truth].
     symbol
-        Of the term or input.
+        Term or input.
     changes
-        By how much it changes coefficients themselves, which is no error.
+        Coefficient -> change of its true value, which is not an error.
     """
 
     name: str
@@ -118,12 +126,14 @@ class Violation:
     changes: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, usual: str) -> tuple[str, str]:
-        """Return what is stated and what is true, from the usual description."""
-        return replaced(usual, self.stated), f"{replaced(usual, self.world)}\n{self.truth}"
+        """Return the description and the simulated campaign, from the reference campaign."""
+        return replace_pieces(
+            usual, self.stated
+        ), f"{replace_pieces(usual, self.world)}\n{self.truth}"
 
 
-def replaced(text: str, pieces: Mapping[str, str]) -> str:
-    """Return a text with pieces replaced, each of which must be there."""
+def replace_pieces(text: str, pieces: Mapping[str, str]) -> str:
+    """Return a text with pieces replaced; raise ValueError if it lacks one of them."""
     for old, new in pieces.items():
         if old not in text:
             raise ValueError(f"the description does not have {old}")
@@ -131,13 +141,13 @@ def replaced(text: str, pieces: Mapping[str, str]) -> str:
     return text
 
 
-def _largest(shifts: Mapping[str, float]) -> float:
+def _largest_shift(shifts: Mapping[str, float]) -> float:
     return max(map(abs, shifts.values()), default=0.0)
 
 
-def is_silent(shifts: Mapping[str, float], said: Sequence[str]) -> bool:
-    """Return whether coefficients move by so many of their u, and nothing is said."""
-    return not said and _largest(shifts) > SILENT_UP_TO
+def is_silent(shifts: Mapping[str, float], codes: Sequence[str]) -> bool:
+    """Return whether a coefficient shifts by more than 3 u without a finding."""
+    return not codes and _largest_shift(shifts) > SILENT_SHIFT_LIMIT
 
 
 @dataclass(frozen=True)
@@ -147,16 +157,16 @@ class Row:
     Attributes
     ----------
     name, size, observable
-        What violates what, and what is recorded.
+        The violation, and the recorded observable.
     shifts, state, codes
-        With everything assumed to be perfect: shifts by coefficient in u, and what is said.
+        With unstated terms fixed: coefficient -> shift in u, state of the result, finding codes.
     weighed, said_weighed
-        With nothing assumed: shifts likewise, and the codes of what is found.
+        With no term fixed: coefficient -> shift in u, and finding codes.
     symbol
-        What is otherwise.
+        Term or input that differs.
     named
-        With everything assumed: the first two causes that are named, what explains as much as the
-        first being the second.
+        With unstated terms fixed: the first two named causes; an equally good explanation of the
+        first finding is the second.
     """
 
     name: str
@@ -171,59 +181,63 @@ class Row:
     named: list[str] = field(default_factory=list)
 
     def right(self, among: int) -> bool:
-        """Return whether what is otherwise is among the first causes that are named."""
+        """Return whether the true cause is among the first named causes."""
         return any(f".{name}".endswith(f".{self.symbol}") for name in self.named[:among])
 
     @property
     def silent(self) -> bool:
-        """Whether with nothing assumed a coefficient moves by more than 3 u and nothing is said."""
+        """Whether, with no term fixed, a coefficient shifts by more than 3 u without a finding."""
         return is_silent(self.weighed, self.said_weighed)
 
     @property
     def held(self) -> float:
-        """By how many of its u the coefficient moves most that moves with nothing assumed."""
-        return _largest(self.weighed)
+        """Largest shift with no term fixed, in u."""
+        return _largest_shift(self.weighed)
 
     @property
     def most_moved(self) -> str:
-        """The coefficient that moves by most of its u."""
+        """The coefficient with the largest shift in u."""
         return max(self.shifts, key=lambda symbol: abs(self.shifts[symbol]))
 
     @property
     def largest(self) -> float:
-        """By how many of its u that one moves."""
+        """Largest shift with unstated terms fixed, in u."""
         return abs(self.shifts[self.most_moved])
 
     @property
     def said(self) -> str:
-        """What the result says of it."""
+        """The state and the finding codes, as text."""
         return f"{self.state} ({', '.join(self.codes)})" if self.codes else "no finding"
 
     @property
     def cell(self) -> str:
-        """The row in a few words."""
-        held = f"{_rounded(self.held)} u" if self.held >= SHOWN_FROM else f"< {SHOWN_FROM} u"
+        """The text of the table cell."""
+        held = (
+            f"{_round_to_two_digits(self.held)} u"
+            if self.held >= SHOWN_SHIFT_LIMIT
+            else f"< {SHOWN_SHIFT_LIMIT} u"
+        )
         held = ", ".join([held, *self.said_weighed])
-        if max(self.largest, self.held) < SHOWN_FROM and not self.said_weighed:
+        if max(self.largest, self.held) < SHOWN_SHIFT_LIMIT and not self.said_weighed:
             return self.said if self.codes else "-"
         moved = [
-            f"{symbol} {_rounded(abs(self.shifts[symbol]))} u"
+            f"{symbol} {_round_to_two_digits(abs(self.shifts[symbol]))} u"
             for symbol in dict.fromkeys(("K_II", self.most_moved))
-            if abs(self.shifts[symbol]) >= SHOWN_FROM
+            if abs(self.shifts[symbol]) >= SHOWN_SHIFT_LIMIT
         ]
         return f"{': '.join([*([', '.join(moved)] if moved else []), self.said])}; {held}"
 
 
-def _rounded(size: float) -> str:
-    """Return a size with two digits."""
-    return f"{float(f'{size:.2g}'):.12g}"
+def _round_to_two_digits(value: float) -> str:
+    """Return a value with two significant digits."""
+    return f"{float(f'{value:.2g}'):.12g}"
 
 
-def of_table() -> list[Violation]:
-    """Return one violation for each term that is not asked for, at its typical size."""
+def term_violations() -> list[Violation]:
+    """Return one violation for each nuisance term, at its typical size."""
     rows = []
     for symbol in [*ACCELEROMETER_TERMS, *SHARED_TERMS]:
-        # The table errs under a strapped instrument only, and the usual campaign has a platform.
+        # table.* acts on strapped-down instruments only; the reference campaign has a platform.
         if symbol in ("K_F", "K_I", "K_II", "K_III") or symbol.startswith("table."):
             continue
         row = term(symbol)
@@ -234,10 +248,10 @@ def of_table() -> list[Violation]:
             world = {"[truth.Qx]\n": f'[truth.Qx]\n"{symbol}" = {value}\n'}
             if ".temperature" in symbol:
                 size += ", for an unrecorded change of 1 K"
-                world |= WARMING
+                world |= WARMING_RUNS
             elif symbol == "K_F.hysteresis":
                 size += ", for an unrecorded cycle of 3 K"
-                world |= UP_AND_DOWN
+                world |= TEMPERATURE_CYCLE
             rows.append(Violation(symbol, size, symbol, world))
         else:
             table, _, key = symbol.partition(".")
@@ -247,8 +261,8 @@ def of_table() -> list[Violation]:
     return rows
 
 
-def of_inputs() -> list[Violation]:
-    """Return the violations of what the description states: it is another in the world."""
+def input_violations() -> list[Violation]:
+    """Return the violations of stated inputs."""
     radius, gravity = '"2.5 ± 1e-5 m"', '"9.8066 ± 1e-5 m/s^2"'
     return [
         Violation(
@@ -317,99 +331,109 @@ def of_inputs() -> list[Violation]:
     ]
 
 
-def calibrated(world: str, *stated: str) -> list[Result]:
-    """Return the calibrations of a world's records by these descriptions."""
+def calibrate_world(world: str, *descriptions: str) -> list[Result]:
+    """Return the calibration of the simulated records with each description."""
     with tempfile.TemporaryDirectory() as folder:
         campaign = Path(folder) / "world.toml"
         campaign.write_text(world, encoding="utf-8")
         simulate(campaign, folder, overwrite=True)
         results = []
-        for text in stated:
+        for text in descriptions:
             (Path(folder) / "campaign.toml").write_text(text, encoding="utf-8")
             results.append(calibrate(folder))
     return results
 
 
-def ways(stated: str) -> tuple[str, str]:
-    """Return the description that assumes all that it does not state, and that as it is."""
-    return replaced(stated, ASSUMING), stated
+def variants(stated: str) -> tuple[str, str]:
+    """Return the description with unstated terms fixed at nominal, and the original."""
+    return replace_pieces(stated, FIX_UNSTATED), stated
 
 
-def shifts_of(violation: Violation, clean: Result, result: Result) -> dict[str, float]:
-    """Return by how many of its u each coefficient moves that is determined."""
-    one, other = (r.accelerometers["Qx"].coefficients for r in (clean, result))
+def normalised_shifts(violation: Violation, clean: Result, result: Result) -> dict[str, float]:
+    """Return coefficient -> shift in u, for the estimated coefficients."""
+    clean_coefficients, coefficients = (
+        r.accelerometers["Qx"].coefficients for r in (clean, result)
+    )
     return {
-        symbol: (c.value - one[symbol].value - violation.changes.get(symbol, 0.0)) / c.u
-        for symbol, c in other.items()
-        if c.estimated and one[symbol].estimated and c.u  # else it is what was stated
+        symbol: (c.value - clean_coefficients[symbol].value - violation.changes.get(symbol, 0.0))
+        / c.u
+        for symbol, c in coefficients.items()
+        if c.estimated
+        and clean_coefficients[symbol].estimated
+        and c.u  # otherwise it equals its stated value
     }
 
 
-def row_of(violation: Violation, observable: str, clean: Sequence[Result], size: Size) -> Row:
-    """Return what a violation does.
+def calibrate_violation(
+    violation: Violation, observable: str, clean: Sequence[Result], size: Size
+) -> Row:
+    """Calibrate a campaign with a violation; return its row.
 
     Parameters
     ----------
     violation
         The violation.
     observable
-        What is recorded.
+        The recorded observable.
     clean
-        The results without it.
+        The results without the violation.
     size
-        Of the campaign.
+        Size of the campaign.
     """
-    stated, world = violation.of(description(observable, size))
-    return row_between(violation, observable, clean, calibrated(world, *ways(stated)))
+    stated, world = violation.of(describe_campaign(observable, size))
+    return compare_results(violation, observable, clean, calibrate_world(world, *variants(stated)))
 
 
-def row_between(
-    violation: Violation, observable: str, clean: Sequence[Result], found: Sequence[Result]
+def compare_results(
+    violation: Violation, observable: str, clean: Sequence[Result], violated: Sequence[Result]
 ) -> Row:
-    """Return what lies between the two results without a violation and those with it."""
-    assuming, weighing = found
+    """Return the row that compares the two results without and with a violation."""
+    fixed, estimated = violated
     return Row(
         name=violation.name,
         size=violation.size,
         observable=observable,
-        shifts=shifts_of(violation, clean[0], assuming),
-        state=str(assuming.state),
-        codes=sorted({finding.code for finding in assuming.findings}),
-        weighed=shifts_of(violation, clean[1], weighing),
-        said_weighed=sorted({finding.code for finding in weighing.findings}),
+        shifts=normalised_shifts(violation, clean[0], fixed),
+        state=str(fixed.state),
+        codes=sorted({finding.code for finding in fixed.findings}),
+        weighed=normalised_shifts(violation, clean[1], estimated),
+        said_weighed=sorted({finding.code for finding in estimated.findings}),
         symbol=violation.symbol,
-        named=[name for f in assuming.findings for name in (f.subject, *f.as_well)][:2],
+        named=[name for f in fixed.findings for name in (f.subject, *f.as_well)][:2],
     )
 
 
-def rows(violations: Sequence[Violation], observable: str, size: Size) -> Iterator[Row]:
-    """Yield the rows of some violations with one observable."""
-    stated = description(observable, size)
-    clean = calibrated(stated, *ways(stated))
+def calibrate_violations(
+    violations: Sequence[Violation], observable: str, size: Size
+) -> Iterator[Row]:
+    """Yield the rows of violations with one observable."""
+    stated = describe_campaign(observable, size)
+    clean = calibrate_world(stated, *variants(stated))
     for violation in violations:
-        yield row_of(violation, observable, clean, size)
+        yield calibrate_violation(violation, observable, clean, size)
 
 
-def lines_of(table: Sequence[Row]) -> str:
+def format_rows(table: Sequence[Row]) -> str:
     """Return the table as Markdown, one line for each violation."""
     lines: dict[tuple[str, str], list[str]] = {}
     for row in table:
         lines.setdefault((row.name, row.size), [row.name, row.size]).append(row.cell)
-    shown = dict.fromkeys(row.observable.replace("_", " ") for row in table)
-    head = ["violation", "size", *shown]
-    return table_of(dict.fromkeys(head, "---"), list(lines.values()))
+    observables = dict.fromkeys(row.observable.replace("_", " ") for row in table)
+    head = ["violation", "size", *observables]
+    return format_table(dict.fromkeys(head, "---"), list(lines.values()))
 
 
 def render(table: Sequence[Row]) -> str:
-    """Return the table with how often the right cause is named."""
-    found = [row for row in table if row.codes]
-    right, first = (sum(row.right(among) for row in found) for among in (2, 1))
+    """Return the table and the number of correctly named causes."""
+    reported = [row for row in table if row.codes]
+    n_second, n_first = (sum(row.right(among) for row in reported) for among in (2, 1))
     return (
-        f"{lines_of(table)}\n"
-        f"If every term is fixed at its nominal value, findings report {len(found)} of these "
+        f"{format_rows(table)}\n"
+        f"If every term is fixed at its nominal value, findings report {len(reported)} of these "
         f"{len(table)} violations.\n"
-        f"In {right} of these {len(found)} cases, one of the first two named causes is correct. "
-        f"In {first} cases, the first named cause is correct.\n"
+        f"In {n_second} of these {len(reported)} cases, one of the first two named causes "
+        "is correct. "
+        f"In {n_first} cases, the first named cause is correct.\n"
     )
 
 
@@ -417,9 +441,9 @@ TABLE: Final = KeptTable("violations", DOCS / "violations.md", Row, render)
 
 
 def main() -> None:
-    """Make the table again."""
-    everything = [*of_table(), *of_inputs()]
-    table = [row for name in UNITS for row in rows(everything, name, FULL)]
+    """Recompute the table."""
+    violations = [*term_violations(), *input_violations()]
+    table = [row for name in UNITS for row in calibrate_violations(violations, name, FULL_SIZE)]
     TABLE.keep(table)
     for row in table:
         if row.silent:

@@ -12,7 +12,7 @@ from counterspin.campaign.field_types import SettingsSection
 from counterspin.physics.terms import MOTION_TERMS
 from counterspin.records.format_registry import RECORD_FORMATS
 from counterspin.units import UNITS
-from key_tables import filled, keys, model_of
+from key_tables import fill_tables, find_keys, find_model
 
 PAGE = (Path(__file__).parents[1] / "docs" / "campaign.md").read_text(encoding="utf-8")
 PAGES = sorted((Path(__file__).parents[1] / "docs").glob("*.md"))
@@ -30,13 +30,13 @@ ALTERNATIVES = {
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_key_tables_match_classes(page):
     text = page.read_text("utf-8")
-    assert filled(text) == text, "run `python docs/key_tables.py`"
+    assert fill_tables(text) == text, "run `python docs/key_tables.py`"
 
 
 @pytest.mark.parametrize("name", TABLES)
 def test_examples_are_valid(name):
-    model = model_of(name.partition(" of ")[0])
-    fields = keys(name)
+    model = find_model(name.partition(" of ")[0])
+    fields = find_keys(name)
     given = {key: example for key, field in fields.items() for example in field.examples}
     assert set(given) == set(fields)
     for left_out in ALTERNATIVES.get(name, [()]):

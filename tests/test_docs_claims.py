@@ -45,7 +45,7 @@ from counterspin.reproduction import plan as paper
 from counterspin.studies.result import MIN_TRIALS
 from counterspin.validation.cases import cases
 from counterspin.validation.validate import check_case
-from kept_table import RATES
+from kept_table import DEFAULT_RATES
 
 ARCSEC = math.radians(1.0 / 3600.0)
 ENCODER = SHARED_TERMS["encoder.harmonic.1.sin"].typical
@@ -414,9 +414,9 @@ def test_violation_campaign_matches_description():
         find_numbers("violations", "by {} of its u"),
     )
     (most,), (least,) = limits
-    assert agrees_to_last_digit(most, study["SILENT_UP_TO"])
-    assert agrees_to_last_digit(least, study["SHOWN_FROM"])
-    campaign = tomllib.loads(study["description"]("velocity", study["FULL"]))
+    assert agrees_to_last_digit(most, study["SILENT_SHIFT_LIMIT"])
+    assert agrees_to_last_digit(least, study["SHOWN_SHIFT_LIMIT"])
+    campaign = tomllib.loads(study["describe_campaign"]("velocity", study["FULL_SIZE"]))
     words = "three runs at {}, {} and {} rev/s, with {} revolutions each, sampled at {} Hz "
     words += "at a radius of {} m. "
     words += "The noise per sample is {} m in displacement, {} mm/s in velocity "
@@ -425,8 +425,8 @@ def test_violation_campaign_matches_description():
     *rates, turns, sampling, radius, place, speed, force, bias, scale = map(
         parse_number, find_numbers("violations", words)
     )
-    assert tuple(rates) == tuple(map(float, RATES))
-    assert (sampling, turns) == (study["FULL"].sampling_rate, study["FULL"].revolutions)
+    assert tuple(rates) == tuple(map(float, DEFAULT_RATES))
+    assert (sampling, turns) == (study["FULL_SIZE"].sampling_rate, study["FULL_SIZE"].revolutions)
     assert campaign["centrifuge"]["radius"].startswith(f"{radius} ±")
     assert study["NOISE"] == {
         "displacement": f"{place} m",

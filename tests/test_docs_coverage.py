@@ -56,7 +56,7 @@ def test_normal_equivalent_has_same_probability():
 def test_trials_and_values_are_counted():
     case = STUDY["CASES"][0]
     pairs = {"K_F": [(1.0, 1e9), (2.0, 1e9), (0.0, 1e9), (3.0, 1e9)]}
-    row = STUDY["counted"](case, pairs)
+    row = STUDY["summarise_errors"](case, pairs)
     assert row.trials == 2
     assert row.values == 4
     assert row.z_rms["K_F"] == pytest.approx(math.sqrt(14 / 4))
@@ -73,7 +73,7 @@ def test_few_trials_scatter_by_u(method):
         for case in STUDY["CASES"]
         if (case.method, case.words) == (method, "white noise and random walk, stated")
     )
-    row = STUDY["row_of"](case, 8)
+    row = STUDY["run_trials"](case, 8)
     count = row.values
     for symbol, size in row.z_rms.items():
         # chi-square of 16 errors: beyond 4 standard deviations once in 1e4

@@ -39,6 +39,6 @@ def test_bounds_match_clopper_pearson():
 def test_campaign_is_drawn_from_stated_priors():
     first, second = (STUDY["CASES"][0].description(seed) for seed in (0, 1))
     assert first != second
-    row = STUDY["row_of"](STUDY["CASES"][0], 2)
+    row = STUDY["run_trials"](STUDY["CASES"][0], 2)
     assert row.counts["contradicted"] == 0
     assert row.trials == 2

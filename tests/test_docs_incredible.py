@@ -8,7 +8,7 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 STUDY = runpy.run_path(str(DOCS / "incredible.py"))
-TABLE, MISTAKES, WAYS = STUDY["TABLE"], STUDY["MISTAKES"], STUDY["WAYS"]
+TABLE, MISTAKES, WAYS = STUDY["TABLE"], STUDY["MISTAKES"], STUDY["COLUMN_BY_MEASUREMENT"]
 
 #: What the first of the findings is of; K_F is stated where two stages are used.
 SUBJECTS = {
@@ -34,7 +34,7 @@ def test_page_shows_stored_results():
     ids=lambda part: getattr(part, "name", part),
 )
 def test_finding_matches_table(mistake, way):
-    row = STUDY["row_of"](mistake, way)
+    row = STUDY["check_mistake"](mistake, way)
     (kept,) = (one for one in TABLE.load() if (one.name, one.way) == (row.name, row.way))
     assert (row.state, row.code, row.subject) == (kept.state, kept.code, kept.subject)
     if row.state == "refused":
@@ -61,7 +61,7 @@ def test_likely_cause_is_named():
 @pytest.mark.parametrize("way", WAYS)
 def test_correct_data_have_no_finding(way):
     right = replace(MISTAKES[1], truth={}, world={}, change=float)
-    row = STUDY["row_of"](right, way)
+    row = STUDY["check_mistake"](right, way)
     # Twelve readings on an arm of which little is stated leave 4.1 degrees of freedom.
     assert row.code == ("unjudged-readings" if way == "arm" else "")
 
@@ -70,12 +70,12 @@ def test_correct_data_have_no_finding(way):
 def test_correct_attitudes_have_no_finding(upright):
     stated = 'delta_O = "1e-3 ± 1e-6 rad"\n'
     mistake = replace(MISTAKES[-1], sense=1, upright=upright, stated=stated)
-    assert STUDY["row_of"](mistake, "tumble").code == ""
+    assert STUDY["check_mistake"](mistake, "tumble").code == ""
 
 
 def test_implausible_default_prior_follows_cause():
     """Mirrored attitudes resemble an error of the head zero of 80 typical sizes."""
-    (only,) = STUDY["calibrated"](MISTAKES[-1], "tumble").findings
+    (only,) = STUDY["calibrate_mistake"](MISTAKES[-1], "tumble").findings
     below = only.explains[0]
     assert (only.code, below.code, below.subject) == (
         "wrong-mounting",

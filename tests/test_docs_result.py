@@ -19,7 +19,7 @@ def test_every_section_of_result_has_table():
         for page in DOCS.glob("*.md")
         for name in re.findall(r"^<!-- fields: (\w+) -->$", page.read_text("utf-8"), re.MULTILINE)
     }
-    assert tables == set(key_tables.PARTS)
+    assert tables == set(key_tables.RESULT_CLASSES)
 
 
 def test_every_finding_code_is_explained():

@@ -11,7 +11,7 @@ import pytest
 import counterspin as cs
 from counterspin import cli
 from counterspin.validation.cases import case
-from pictures import mark_of
+from pictures import hash_cells
 
 DOCS = Path(__file__).parents[1] / "docs"
 NAVIGATION = runpy.run_path(str(DOCS / "extensions" / "navigation.py"))
@@ -23,13 +23,15 @@ INDEX = (DOCS / "index.md").read_text(encoding="utf-8")
 
 
 def test_menu_lists_every_page_once():
-    pages = [page for listed in NAVIGATION["sections"](INDEX).values() for page in listed]
+    pages = [page for listed in NAVIGATION["find_sections"](INDEX).values() for page in listed]
     there = {page.stem for page in DOCS.glob("*.md")} - {"index"}
     assert sorted(pages) == sorted(there | {"gallery/index"})
 
 
 def test_gallery_lists_every_page_once():
-    (pages,) = NAVIGATION["sections"]((GALLERY / "index.md").read_text(encoding="utf-8")).values()
+    (pages,) = NAVIGATION["find_sections"](
+        (GALLERY / "index.md").read_text(encoding="utf-8")
+    ).values()
     assert sorted(pages) == sorted(page.stem for page in GALLERY.glob("*.md") if page != OWN_INDEX)
     assert len(pages) >= 10
 
@@ -38,7 +40,7 @@ def test_gallery_lists_every_page_once():
 def test_thumbnail_matches_cells_and_description_of_page(page):
     """`make pictures` runs the cells and stores the first picture."""
     name = f"gallery-{page.stem}.png"
-    marked = struct.pack(">I", 8 + 16) + b"tEXtComment\0" + mark_of(page).encode()
+    marked = struct.pack(">I", 8 + 16) + b"tEXtComment\0" + hash_cells(page).encode()
     assert marked in (DOCS / "images" / name).read_bytes()
     (words,) = re.findall(rf"!\[(.*?)\]\(\.\./images/{name}\)", OWN_INDEX.read_text("utf-8"))
     first = re.search(r"alt: >-\n((?:      .+\n)+)", page.read_text(encoding="utf-8"))[1]
@@ -63,7 +65,7 @@ def test_gallery_page_is_executed_and_pictures_have_text(page):
 
 
 def test_menu_has_headings_of_index():
-    menu = NAVIGATION["with_menu"]("# T\n\n## Do\n\n| p | f |\n|---|---|\n| [A](a.md) | a |\n")
+    menu = NAVIGATION["add_menu"]("# T\n\n## Do\n\n| p | f |\n|---|---|\n| [A](a.md) | a |\n")
     assert ":caption: Do\n\na\n" in menu
     assert menu.count("toctree") == 1
 

@@ -8,7 +8,7 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 STUDY = runpy.run_path(str(DOCS / "tumbled.py"))
-TABLE, WAYS = STUDY["TABLE"], STUDY["WAYS"]
+TABLE, WAYS = STUDY["TABLE"], STUDY["TUMBLE_TESTS"]
 ARCSEC = math.radians(1.0) / 3600.0
 
 
@@ -23,7 +23,9 @@ def test_page_shows_stored_results():
 
 
 def test_table_contains_all_violations_and_tumbles(stored_results):
-    assert set(stored_results) == {(v.name, way) for v in STUDY["violations"]() for way in WAYS}
+    assert set(stored_results) == {
+        (v.name, way) for v in STUDY["list_violations"]() for way in WAYS
+    }
 
 
 def test_no_violation_is_silent(stored_results):
@@ -31,7 +33,7 @@ def test_no_violation_is_silent(stored_results):
 
 
 def test_computed_row_matches_table(stored_results):
-    for row in STUDY["rows"]("12 positions"):
+    for row in STUDY["calibrate_violations"]("12 positions"):
         known = stored_results[row.name, row.observable]
         assert (row.codes, row.said_weighed) == (known.codes, known.said_weighed)
         assert row.shifts == pytest.approx(known.shifts, abs=0.05)
@@ -39,14 +41,14 @@ def test_computed_row_matches_table(stored_results):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_findings_name_head(stored_results, way):
-    usual = STUDY["description"](*WAYS[way])
-    for violation in STUDY["violations"]():
+    usual = STUDY["describe_tumble"](*WAYS[way])
+    for violation in STUDY["list_violations"]():
         if not stored_results[violation.name, way].codes:
             continue
         # Waves three and four times a turn are two columns each, and are noticed without a name.
         if violation.symbol.startswith(("head.harmonic.3", "head.harmonic.4")):
             continue
-        assuming = next(STUDY["calibrated"](STUDY["world_of"](violation, usual)))
+        assuming = next(STUDY["calibrate_world"](STUDY["describe_world"](violation, usual)))
         times = "once" if ".1." in violation.symbol else "twice"
         two = f"have the pattern of a head error {times} per revolution"
         text = "A head error that varies with the angle"

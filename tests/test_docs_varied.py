@@ -48,7 +48,7 @@ def test_u_is_not_too_small():
 
 def test_invisible_noise_causes_no_finding():
     """The noise contributes two thirds of the variance of K_II."""
-    errors, result = STUDY["tried"](40094, Kind(unstated=False))
+    errors, result = STUDY["run_trial"](40094, Kind(unstated=False))
     assert result.state == "good"
     assert [
         remark for remark in result.warnings if "comes from accelerometer white noise" in remark
@@ -58,7 +58,7 @@ def test_invisible_noise_causes_no_finding():
 
 def test_drawn_values_are_plausible():
     """Four standard deviations of K_II, drawn once in 16,000, are beyond 1e-4 g/g^2."""
-    drawn = STUDY["draw"](np.random.default_rng(40130), Kind(unstated=False))
+    drawn = STUDY["draw_campaign"](np.random.default_rng(40130), Kind(unstated=False))
     assert all(
         abs(own[symbol] - STUDY["term"](symbol).nominal) < STUDY["term"](symbol).limit
         for own in drawn.truth.values()
@@ -68,14 +68,14 @@ def test_drawn_values_are_plausible():
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 def test_drawn_campaign_matches_kind(kind):
-    drawn = STUDY["draw"](np.random.default_rng(kind.first), kind)
+    drawn = STUDY["draw_campaign"](np.random.default_rng(kind.first), kind)
     assert ('assume = "all"' in drawn.described) is not kind.unstated
     assert kind.noise is None or ("[noise]" in drawn.described) is (kind.noise != "found")
     assert ('"estimate"' in drawn.described) is (kind.noise == "estimate")
     assert "truth" not in drawn.described
     assert all(set(STUDY["TERMS"]) <= set(own) for own in drawn.truth.values())
     assert any(set(own) > set(STUDY["TERMS"]) for own in drawn.truth.values()) is kind.unstated
-    row = STUDY["row_of"]("few", kind, trials=2)
+    row = STUDY["run_trials"]("few", kind, trials=2)
     assert row.campaigns == 2
     for symbol, size in row.z_rms.items():
         # Of four normal variables at most: beyond 5 once in 1e6.

@@ -9,7 +9,7 @@ import pytest
 DOCS = Path(__file__).parents[1] / "docs"
 STUDY = runpy.run_path(str(DOCS / "violations.py"))
 TABLE, UNITS = STUDY["TABLE"], STUDY["UNITS"]
-VIOLATIONS = [*STUDY["of_table"](), *STUDY["of_inputs"]()]
+VIOLATIONS = [*STUDY["term_violations"](), *STUDY["input_violations"]()]
 
 #: The same study with fewer rows.
 SMALL = STUDY["Size"](10.0, 20)
@@ -54,8 +54,8 @@ def test_largest_shift_matches_theory():
 
 @cache
 def calibrate_without_violation(observable):
-    stated = STUDY["description"](observable, SMALL)
-    (outcome,) = STUDY["calibrated"](stated, stated)
+    stated = STUDY["describe_campaign"](observable, SMALL)
+    (outcome,) = STUDY["calibrate_world"](stated, stated)
     return outcome
 
 
@@ -72,17 +72,17 @@ def calibrate_without_violation(observable):
 )
 def test_no_violation_is_silent(observable, violation):
     """Assume nothing; the table has the results with all terms assumed."""
-    stated, world = violation.of(STUDY["description"](observable, SMALL))
-    (outcome,) = STUDY["calibrated"](world, stated)
-    shifts = STUDY["shifts_of"](violation, calibrate_without_violation(observable), outcome)
+    stated, world = violation.of(STUDY["describe_campaign"](observable, SMALL))
+    (outcome,) = STUDY["calibrate_world"](world, stated)
+    shifts = STUDY["normalised_shifts"](violation, calibrate_without_violation(observable), outcome)
     assert not STUDY["is_silent"](shifts, outcome.findings), f"{shifts}, in u"
 
 
 def test_row_has_shifts_with_and_without_assumptions():
     (violation,) = (v for v in VIOLATIONS if v.name == "platform.compliance.zy")
-    stated = STUDY["description"]("displacement", SMALL)
-    both = STUDY["calibrated"](stated, *STUDY["ways"](stated))
-    row = STUDY["row_of"](violation, "displacement", both, SMALL)
+    stated = STUDY["describe_campaign"]("displacement", SMALL)
+    both = STUDY["calibrate_world"](stated, *STUDY["variants"](stated))
+    row = STUDY["calibrate_violation"](violation, "displacement", both, SMALL)
     # What is assumed to be perfect is in no u, and K_II is off by many; weighed, it is in u.
     assert abs(row.shifts["K_II"]) > 10.0 * abs(row.weighed["K_II"]) > 0.0
     assert row.held < 3.0

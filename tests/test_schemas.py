@@ -188,7 +188,7 @@ def test_site_contains_every_schema(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "extensions"))
     import published_schemas
 
-    monkeypatch.setattr(published_schemas, "_BUILD", tmp_path)
-    folder = published_schemas.published() / "schemas"
+    monkeypatch.setattr(published_schemas, "_SITE_FILES", tmp_path)
+    folder = published_schemas.write_schemas() / "schemas"
     assert {file.stem for file in folder.iterdir()} == set(NAMES)
     assert (folder / "plan.json").read_text("utf-8") == schema_text("plan")

@@ -1,7 +1,7 @@
-"""How the gallery's figures look: vector graphics in the colours and sizes of the reports.
+"""Style the figures of the gallery: vector graphics in the colours and sizes of the reports.
 
-The settings go to the kernels through a profile of IPython in the build's folder, so that no page
-of the gallery has to begin with them.
+The kernels read the settings from an IPython profile in the build folder, so that no gallery page
+has to repeat them.
 """
 
 import json
@@ -12,7 +12,7 @@ from sphinx.application import Sphinx
 
 from counterspin.reports.drawing import COLOURS
 
-_STYLE = {
+_PLOT_SETTINGS = {
     "figure.figsize": (7.0, 3.2),
     "figure.constrained_layout.use": True,
     "axes.grid": True,
@@ -26,8 +26,8 @@ _STYLE = {
 }
 
 
-def _on_start(app: Sphinx) -> None:
-    """Write the profile and have kernels use it."""
+def _write_ipython_profile(app: Sphinx) -> None:
+    """Write the IPython profile and point the kernels to it."""
     folder = Path(app.doctreedir) / "ipython"
     profile = folder / "profile_default"
     profile.mkdir(parents=True, exist_ok=True)
@@ -38,7 +38,7 @@ def _on_start(app: Sphinx) -> None:
         'c.InlineBackend.figure_formats = {"svg"}\n'
         "c.HistoryManager.enabled = False\n"
         "c.IPKernelApp.log_level = 40\n"
-        f"c.InlineBackend.rc = json.loads({json.dumps(_STYLE)!r})\n"
+        f"c.InlineBackend.rc = json.loads({json.dumps(_PLOT_SETTINGS)!r})\n"
         f'c.InlineBackend.rc["axes.prop_cycle"] = cycler(color={list(COLOURS)!r})\n',
         encoding="utf-8",
     )
@@ -46,6 +46,6 @@ def _on_start(app: Sphinx) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Prepare the kernels before the first page is read."""
-    app.connect("builder-inited", _on_start)
+    """Connect the extension to Sphinx."""
+    app.connect("builder-inited", _write_ipython_profile)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

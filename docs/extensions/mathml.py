@@ -1,4 +1,4 @@
-"""Formulas as MathML, which every current browser sets by itself: no script, no font to fetch."""
+"""Render formulas as MathML, which current browsers display without scripts or web fonts."""
 
 from typing import Any
 
@@ -7,8 +7,8 @@ from latex2mathml.converter import convert
 from sphinx.application import Sphinx
 
 
-def mathml(latex: str, display: str) -> str:
-    """Return a formula as a ``<math>`` element whose words for those who do not see it are LaTeX.
+def to_mathml(latex: str, display: str) -> str:
+    """Return a formula as a ``<math>`` element with its LaTeX source as alternative text.
 
     Parameters
     ----------
@@ -23,19 +23,19 @@ def mathml(latex: str, display: str) -> str:
     return element.replace("<math ", f'<math alttext="{escape(latex.strip())}" ', 1)
 
 
-def visit_inline(translator: Any, node: nodes.math) -> None:
-    """Write a formula within a line."""
-    translator.body.append(mathml(node.astext(), "inline"))
+def write_inline_formula(translator: Any, node: nodes.math) -> None:
+    """Write an inline formula."""
+    translator.body.append(to_mathml(node.astext(), "inline"))
     raise nodes.SkipNode
 
 
-def visit_block(translator: Any, node: nodes.math_block) -> None:
-    """Write a formula on lines of its own; what is too wide for a phone can be moved."""
-    translator.body.append(f'<div class="formula">{mathml(node.astext(), "block")}</div>')
+def write_block_formula(translator: Any, node: nodes.math_block) -> None:
+    """Write a display formula; wide formulas scroll on narrow screens."""
+    translator.body.append(f'<div class="formula">{to_mathml(node.astext(), "block")}</div>')
     raise nodes.SkipNode
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Offer the renderer to Sphinx."""
-    app.add_html_math_renderer("mathml", (visit_inline, None), (visit_block, None))
+    """Register the renderer with Sphinx."""
+    app.add_html_math_renderer("mathml", (write_inline_formula, None), (write_block_formula, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

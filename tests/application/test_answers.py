@@ -71,8 +71,8 @@ def test_response_matches_type_of_endpoint(page, method, name, message):
 
 
 def test_generated_script_types_are_up_to_date():
-    text = answer_types.FILE.read_text(encoding="utf-8")
-    assert text == answer_types.script(), "run `python docs/answer_types.py`"
+    text = answer_types.SCRIPT_FILE.read_text(encoding="utf-8")
+    assert text == answer_types.format_script(), "run `python docs/answer_types.py`"
     assert 'kind: "calibration" | "study"' in text
     assert "extent: ([number, number] | null)[]," in text
     assert "title?: string," in text
