@@ -1,15 +1,15 @@
-"""Mutated files for every reader of counterspin, and kills at every step of writing.
+"""Fuzz every reader of counterspin with mutated files, and kill commands at every write.
 
     python -m fuzz --documents 100000 --records 2000     # `make fuzz`
 
-- `mutations`: of bytes, of text, of trees (TOML, JSON, XML) and of tables
-- `formats`: every format that is read: files to begin with, how they are mutated, who reads them
-- `format`: what a format is; `requests`, `connections`: what is asked of the application;
-  `asking`: how, and what must hold of its answers and files
-- `native`: record files of the formats that native code reads
-- `hunt`: tries cases, judges what comes of them, keeps what is found
-- `tracing`: programs stopped at system calls
-- `kills`: processes killed at each system call that has to do with an output
+- `mutations`: mutations of bytes, text, trees (TOML, JSON, XML) and tables
+- `formats`: for every input format: seed files, mutations and reader
+- `format`: definition of a format; `requests`, `connections`: requests to the application;
+  `asking`: sending of requests, and checks of answers and files
+- `native`: record files read by native code
+- `hunt`: runs cases, judges the outcomes, stores the findings
+- `tracing`: stops programs at system calls
+- `kills`: kills processes at each system call on an output
 """
 
 import sys
@@ -17,7 +17,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 
-# The files to begin with are those that the tests begin with.
+# The seed files come from the builders of the tests.
 _BUILDERS = str(ROOT / "tests" / "builders")
 if _BUILDERS not in sys.path:
     sys.path.append(_BUILDERS)

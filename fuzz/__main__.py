@@ -15,7 +15,7 @@ from fuzz.tracing import possible
 
 
 def main() -> int:
-    """Run what is asked for; return 1 if anything was found."""
+    """Run the requested cases; return 1 if there are findings."""
     parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
     parser.add_argument("--documents", type=int, default=20_000, help="cases read in the process")
     parser.add_argument("--records", type=int, default=400, help="cases read by native code")
@@ -25,31 +25,36 @@ def main() -> int:
     parser.add_argument("--only", default="", help=f"some of {','.join(FORMATS)}")
     parser.add_argument("--output", type=Path, default=ROOT / "build" / "fuzz")
     parser.add_argument("--work", nargs=5, help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.work:
-        names, seed, first, count, folder = asked.work
+    arguments = parser.parse_args()
+    if arguments.work:
+        names, seed, first, count, folder = arguments.work
         work(names.split(","), int(seed), int(first), int(count), Path(folder))
         return 0
     os.nice(10)
-    only = asked.only.split(",") if asked.only else list(FORMATS)
-    found = False
-    for native, count, words in (
-        (False, asked.documents, "documents"),
-        (True, asked.records, "records"),
+    format_names = arguments.only.split(",") if arguments.only else list(FORMATS)
+    has_findings = False
+    for native, count, group in (
+        (False, arguments.documents, "documents"),
+        (True, arguments.records, "records"),
     ):
-        names = [name for name in only if FORMATS[name].native == native]
+        names = [name for name in format_names if FORMATS[name].native == native]
         if names and count:
-            bag = hunt(names, asked.seed, asked.first, count, asked.output / words)
-            print(f"{words}: {bag.tried} tried in {bag.seconds:.0f} s, seed {asked.seed}")
-            print(bag.table(), flush=True)
-            found = found or bool(bag.finds)
-    if asked.kills and not asked.only:
-        found = kill(asked.kills) or found
-    return int(found)
+            statistics = hunt(
+                names, arguments.seed, arguments.first, count, arguments.output / group
+            )
+            print(
+                f"{group}: {statistics.tried} tried in {statistics.seconds:.0f} s, "
+                f"seed {arguments.seed}"
+            )
+            print(statistics.table(), flush=True)
+            has_findings = has_findings or bool(statistics.finds)
+    if arguments.kills and not arguments.only:
+        has_findings = run_kills(arguments.kills) or has_findings
+    return int(has_findings)
 
 
-def kill(kills: int) -> bool:
-    """Kill commands while they write; return whether anything was lost."""
+def run_kills(kills: int) -> bool:
+    """Kill commands while they write; return whether data was lost."""
     if not possible():
         print("kills: processes cannot be traced here")
         return False

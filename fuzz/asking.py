@@ -1,12 +1,11 @@
-"""The application asked in this process, and what must hold of its answers and of its files.
+"""Send requests to the application in this process; check its answers and files.
 
-- `PORT`, `HOST`, `TOKEN`, `KEY`: who is asked; the key is known here, so that cases come out the
-  same again
-- `InlineAppState`: a folder that is served, whose jobs are done at once
-- `asking`: the application, called without threads
-- `ask`: one request; `HasAnswer`: what came of it; `require_right`: what must hold of that
-- `RequestRefusedError`: it was refused as it should be
-- `Watched`: no file beside the folder is touched, and none in it is lost
+- `PORT`, `HOST`, `TOKEN`, `KEY`: address and fixed credentials, so that cases are reproducible
+- `InlineAppState`: application state that runs jobs immediately
+- `unthreaded_application`: the application, called without threads
+- `send_request`: send one request; `Answer`: its answer; `check_answer`: checks of the answer
+- `RequestRefusedError`: a correctly refused request
+- `WatchedFolder`: checks that no outside file is accessed, and no file in the folder is lost
 """
 
 from __future__ import annotations
@@ -32,23 +31,23 @@ from counterspin.application.campaign_files import TRASH_FOLDER
 from counterspin.application.served_folder import ServedFolder
 from counterspin.errors import CounterspinError
 
-#: Who is asked, and what opens it: the token once, the key always.
+#: Address of the server and its credentials: single-use token, session key.
 PORT = 8765
 HOST = f"127.0.0.1:{PORT}"
 TOKEN, KEY = "t" * 32, "k" * 32
 
 
 def fixed_credentials() -> Credentials:
-    """Return the fixed_credentials of a server that nobody has entered yet."""
+    """Return the credentials of a server without sessions."""
     return Credentials(PORT, TOKEN, KEY)
 
 
-#: What stands in files beside the folder, and in no answer.
+#: Content of files outside the folder, which must not appear in any answer.
 SECRET = "counterspin-fuzz-secret"
 
 
-class _First:
-    """Campaigns followed to their first state, in this process."""
+class _FirstStateMonitor:
+    """Live monitor that stops at the first state of a campaign, in this process."""
 
     def look(self, campaign: Path, goal: str) -> dict[str, Any]:
         from counterspin.monitoring.watch import watch
@@ -67,28 +66,28 @@ class _First:
         return told[-1]
 
     def end(self, file: Path) -> None:
-        """Nothing goes on about a file."""
+        """Do nothing: no work is in progress."""
 
     def close(self) -> None:
-        """Nothing is followed any longer."""
+        """Do nothing: no campaign is monitored."""
 
 
 class InlineAppState(AppState):
-    """Application state whose jobs are done at once."""
+    """Application state that runs jobs immediately."""
 
     def __init__(self, folder: ServedFolder) -> None:
         super().__init__(folder)
         self.jobs = InlineJobs()
-        self.live = _First()  # type: ignore[assignment]
+        self.live = _FirstStateMonitor()  # type: ignore[assignment]
 
 
-async def _directly(function: Callable[..., Any], *words: Any) -> Any:
-    """Call what a server would call in a thread: what goes wrong is then seen where it does."""
-    return function(*words)
+async def _call_directly(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function without a thread, so that exceptions keep their traceback."""
+    return function(*arguments)
 
 
-class HasAnswer:
-    """What came of a request: status (0: none), headers, body, and what it raised."""
+class Answer:
+    """Answer to a request: status (0: none), headers, body, and whether it is complete."""
 
     def __init__(self) -> None:
         self.status = 0
@@ -97,17 +96,17 @@ class HasAnswer:
         self.ended = False
 
 
-async def ask(app: Any, request: dict[str, Any]) -> HasAnswer:
-    """Ask as a server does, in this process.
+async def send_request(app: Any, request: dict[str, Any]) -> Answer:
+    """Call the application as a server does, in this process; return its answer.
 
     Parameters
     ----------
     app
         The application.
     request
-        Of a case; `gone`: who asks goes away before the last piece.
+        Request of a case; `gone`: the client disconnects before the last chunk.
     """
-    answered = HasAnswer()
+    answer = Answer()
     path, _, query = request["target"].partition("?")
     scope = {
         "type": "http",
@@ -123,91 +122,96 @@ async def ask(app: Any, request: dict[str, Any]) -> HasAnswer:
         "client": ("127.0.0.1", 50000),
         "server": ("127.0.0.1", PORT),
     }
-    body, pieces = request["body"].encode("latin-1"), request["pieces"]
-    width = len(body) // pieces + 1
-    parts = [body[i * width : (i + 1) * width] for i in range(pieces)]
+    body, n_chunks = request["body"].encode("latin-1"), request["pieces"]
+    chunk_length = len(body) // n_chunks + 1
+    chunks = [body[i * chunk_length : (i + 1) * chunk_length] for i in range(n_chunks)]
     messages = [
-        {"type": "http.request", "body": part, "more_body": i < pieces - 1}
-        for i, part in enumerate(parts)
+        {"type": "http.request", "body": chunk, "more_body": i < n_chunks - 1}
+        for i, chunk in enumerate(chunks)
     ]
     if request["gone"]:
         messages.pop()
-    left = iter(messages)
+    remaining = iter(messages)
 
     async def receive() -> dict[str, Any]:
-        return next(left, {"type": "http.disconnect"})
+        return next(remaining, {"type": "http.disconnect"})
 
     async def send(message: dict[str, Any]) -> None:
         if message["type"] == "http.response.start":
-            assert not answered.status, "two answers"
-            answered.status = message["status"]
-            answered.headers = {
+            assert not answer.status, "two answers"
+            answer.status = message["status"]
+            answer.headers = {
                 n.decode("latin-1"): v.decode("latin-1") for n, v in message["headers"]
             }
         else:
-            answered.body += message.get("body", b"")
-            answered.ended = not message.get("more_body", False)
+            answer.body += message.get("body", b"")
+            answer.ended = not message.get("more_body", False)
 
     await app(scope, receive, send)
-    return answered
+    return answer
 
 
-def require_right(request: dict[str, Any], answered: HasAnswer, raised: str) -> None:
-    """Raise AssertionError of an answer that should not be; RequestRefusedError of a refusal."""
-    assert answered.status < 500, f"status {answered.status}\n{raised}\n{answered.body[:500]!r}"
-    if not answered.status:
+def check_answer(request: dict[str, Any], answer: Answer, traceback_text: str) -> None:
+    """Raise AssertionError for an incorrect answer, RequestRefusedError for a correct refusal."""
+    assert answer.status < 500, f"status {answer.status}\n{traceback_text}\n{answer.body[:500]!r}"
+    if not answer.status:
         assert request["gone"], "no answer"
         return
-    assert answered.ended, "half an answer"
-    assert SECRET.encode() not in answered.body, "what is outside was told"
+    assert answer.ended, "half an answer"
+    assert SECRET.encode() not in answer.body, "what is outside was told"
     for name in ("content-security-policy", "x-content-type-options", "cache-control"):
-        assert name in answered.headers, f"no {name}"
+        assert name in answer.headers, f"no {name}"
     if request["stranger"] and (
         request["stranger"] in ("host", "origin")
-        or (request["target"].startswith("/api/") and not request["target"].startswith(_OPEN))
+        or (
+            request["target"].startswith("/api/")
+            and not request["target"].startswith(_PUBLIC_PATHS)
+        )
     ):
-        assert answered.status >= 400, f"a stranger was let in by {request['stranger']}"
-    if answered.status < 400:
+        assert answer.status >= 400, f"a stranger was let in by {request['stranger']}"
+    if answer.status < 400:
         return
     if (
-        answered.headers.get("content-type", "").startswith("application/json")
+        answer.headers.get("content-type", "").startswith("application/json")
         and request["method"] != "HEAD"
     ):
-        words = json.loads(answered.body)["error"]
-        assert isinstance(words, str)
-        assert words, "no words"
-        assert "internal error" not in words, words
-        assert "Traceback" not in words, words
-        assert len(words) < _CHARACTERS, f"a message of {len(words)} characters\n{words[:300]}"
-    raise RequestRefusedError(f"status {answered.status}")
+        message = json.loads(answer.body)["error"]
+        assert isinstance(message, str)
+        assert message, "no words"
+        assert "internal error" not in message, message
+        assert "Traceback" not in message, message
+        assert len(message) < _MAX_MESSAGE_LENGTH, (
+            f"a message of {len(message)} characters\n{message[:300]}"
+        )
+    raise RequestRefusedError(f"status {answer.status}")
 
 
 class RequestRefusedError(CounterspinError):
-    """All requests of a case were answered as they should be, and the last one was refused."""
+    """All requests of a case were answered correctly, and the last one was refused."""
 
 
-_CHARACTERS = 20_000
+_MAX_MESSAGE_LENGTH = 20_000
 
-#: What is asked of without the key: an address that counts once, and the key itself.
-_OPEN = (SESSION_PATH, TICKET_PATH)
+#: Paths that need no key: exchange of the token, and of a ticket.
+_PUBLIC_PATHS = (SESSION_PATH, TICKET_PATH)
 
 
 # Files
 
 
-#: Names of files and folders -> what tells whether they were changed.
+#: Path -> mode, inode, size and modification time of a file or folder.
 State = dict[str, tuple[int, int, int, int]]
 
 
-class Watched:
-    """A folder in which nothing may be lost, beside one of which nothing may be touched.
+class WatchedFolder:
+    """A served folder that must lose no file, next to a folder that must not be accessed.
 
     Parameters
     ----------
     folder
-        What is served; it is as it was after each case.
+        The served folder; restored after each case.
     template
-        What it is to be.
+        Folder with its initial content.
     """
 
     def __init__(self, folder: Path, template: Path) -> None:
@@ -216,93 +220,93 @@ class Watched:
         self._root = os.path.realpath(folder)
         self._beside = os.path.realpath(folder.parent / "outside")
         self._wrong: list[str] = []
-        shutil.copytree(template, folder, symlinks=True, copy_function=_copied)
+        shutil.copytree(template, folder, symlinks=True, copy_function=_copy_entry)
         self.first = self.state()
 
     def state(self) -> State:
-        """Return each file and folder of the folder, with what tells whether it was changed."""
-        found = {}
-        waiting = [""]
-        while waiting:
-            inner = waiting.pop()
-            with os.scandir(self._root + os.sep + inner) as entries:
+        """Return path -> fingerprint of each file and folder in the folder."""
+        entries_by_name = {}
+        pending = [""]
+        while pending:
+            subfolder = pending.pop()
+            with os.scandir(self._root + os.sep + subfolder) as entries:
                 for entry in entries:
                     status = entry.stat(follow_symlinks=False)
-                    name = inner + entry.name
+                    name = subfolder + entry.name
                     if stat.S_ISDIR(status.st_mode):
-                        waiting.append(name + os.sep)
-                        found[name] = (status.st_mode, 0, 0, 0)
+                        pending.append(name + os.sep)
+                        entries_by_name[name] = (status.st_mode, 0, 0, 0)
                     else:
-                        about = (status.st_ino, status.st_size, status.st_mtime_ns)
-                        found[name] = (status.st_mode, *about)
-        return found
+                        fingerprint = (status.st_ino, status.st_size, status.st_mtime_ns)
+                        entries_by_name[name] = (status.st_mode, *fingerprint)
+        return entries_by_name
 
     @contextmanager
     def looking(self) -> Iterator[None]:
-        """Raise AssertionError if a file outside is touched meanwhile."""
-        _hook()
+        """Raise AssertionError if a file outside is accessed in the block."""
+        _install_audit_hook()
         self._wrong.clear()
-        _LOOKING.append(self._seen)
+        _OBSERVERS.append(self._seen)
         try:
             yield
         finally:
-            _LOOKING.remove(self._seen)
+            _OBSERVERS.remove(self._seen)
         assert not self._wrong, self._wrong[:3]
 
-    def _seen(self, event: str, words: tuple[Any, ...]) -> None:
-        writes = event != "open"
+    def _seen(self, event: str, arguments: tuple[Any, ...]) -> None:
+        is_write = event != "open"
         if event == "open":
-            flags = words[2]
-            writes = bool((flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC))
-            words = words[:1]
+            flags = arguments[2]
+            is_write = bool((flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC))
+            arguments = arguments[:1]
         elif event in ("os.listdir", "os.scandir"):
-            writes = False
-        beside = words[-1] if isinstance(words[-1], int) else -1
-        for word in words[:2]:
-            if not isinstance(word, str | bytes | os.PathLike):
+            is_write = False
+        folder_descriptor = arguments[-1] if isinstance(arguments[-1], int) else -1
+        for argument in arguments[:2]:
+            if not isinstance(argument, str | bytes | os.PathLike):
                 continue
-            base = f"/proc/self/fd/{beside}" if beside >= 0 else "."
-            path = os.path.realpath(os.path.join(base, os.fsdecode(word)))  # noqa: PTH118
-            inside = path == self._root or path.startswith(self._root + os.sep)
+            base = f"/proc/self/fd/{folder_descriptor}" if folder_descriptor >= 0 else "."
+            path = os.path.realpath(os.path.join(base, os.fsdecode(argument)))  # noqa: PTH118
+            is_inside = path == self._root or path.startswith(self._root + os.sep)
             if path.startswith(self._beside):
                 self._wrong.append(f"outside was touched: {event} {path}")
             elif "__pycache__" in path:  # Python compiles a module that is imported here first.
                 continue
-            elif writes and not inside and not path.startswith(_TEMPORARY):
+            elif is_write and not is_inside and not path.startswith(_TEMPORARY_FOLDERS):
                 self._wrong.append(f"written outside: {event} {path}")
 
     def require_whole(self, request: dict[str, Any], status: int, before: State) -> State:
-        """Return the state; AssertionError if files were changed that should not have been."""
+        """Return the state; raise AssertionError if files were changed unexpectedly."""
         after = self.state()
         changed = {name for name in before | after if before.get(name) != after.get(name)}
         if not changed:
             return after
-        what = f"{request['method']} {request['target'][:80]}, status {status}"
-        assert 200 <= status < 300, f"{what}: has changed {sorted(changed)[:4]}"
+        description = f"{request['method']} {request['target'][:80]}, status {status}"
+        assert 200 <= status < 300, f"{description}: has changed {sorted(changed)[:4]}"
         assert request["method"] not in ("GET", "HEAD"), (
-            f"{what}: has changed {sorted(changed)[:4]}"
+            f"{description}: has changed {sorted(changed)[:4]}"
         )
         lost = {name for name in changed if name in before and name not in after}
-        if request["target"].partition("?")[0] in _MOVING:
-            there = {after[name] for name in changed if name in after}
-            moved = {name for name in lost if before[name] in there}
+        if request["target"].partition("?")[0] in _RENAMING_PATHS:
+            entries_after = {after[name] for name in changed if name in after}
+            moved = {name for name in lost if before[name] in entries_after}
             changed, lost = changed - moved, lost - moved
-        assert not lost, f"{what}: has lost {sorted(lost)[:4]}"
+        assert not lost, f"{description}: has lost {sorted(lost)[:4]}"
         hidden = {name for name in changed if os.path.basename(name).startswith(".")}  # noqa: PTH119
         hidden -= {TRASH_FOLDER}
-        assert not hidden, f"{what}: has left {sorted(hidden)[:4]}"
-        kept = [name for name in changed if name in before]
-        assert len(kept) <= 1, f"{what}: has changed {sorted(kept)[:4]}"
+        assert not hidden, f"{description}: has left {sorted(hidden)[:4]}"
+        modified = [name for name in changed if name in before]
+        assert len(modified) <= 1, f"{description}: has changed {sorted(modified)[:4]}"
         return after
 
     def restore(self) -> None:
-        """Make the folder what it was."""
-        now = self.state()
-        for name in sorted(now, reverse=True):
-            if now[name] != self.first.get(name):
+        """Restore the initial content of the folder."""
+        current = self.state()
+        for name in sorted(current, reverse=True):
+            if current[name] != self.first.get(name):
                 path = os.path.join(self._root, name)  # noqa: PTH118
                 with suppress(FileNotFoundError):
-                    (shutil.rmtree if stat.S_ISDIR(now[name][0]) else os.remove)(path)
+                    (shutil.rmtree if stat.S_ISDIR(current[name][0]) else os.remove)(path)
         if self.state() != self.first:
             for name in self.first:
                 path = os.path.join(self._root, name)  # noqa: PTH118
@@ -311,56 +315,62 @@ class Watched:
                     if stat.S_ISDIR(self.first[name][0]):
                         os.mkdir(path)  # noqa: PTH102
                     else:
-                        _copied(source, path)
+                        _copy_entry(source, path)
             self.first = self.state()
 
 
-#: Requests after which a campaign's files have other names.
-_MOVING = ("/api/rename", "/api/put-away", "/api/restore")
-_TEMPORARY = tuple({os.path.realpath(place) for place in ("/tmp", "/dev/shm", "/dev/null")})
-_LOOKING: list[Callable[[str, tuple[Any, ...]], None]] = []
-_HOOKED: list[bool] = []
-_EVENTS = frozenset(
+#: Requests that rename the files of a campaign.
+_RENAMING_PATHS = ("/api/rename", "/api/put-away", "/api/restore")
+_TEMPORARY_FOLDERS = tuple({os.path.realpath(place) for place in ("/tmp", "/dev/shm", "/dev/null")})
+_OBSERVERS: list[Callable[[str, tuple[Any, ...]], None]] = []
+_IS_HOOKED: list[bool] = []
+_FILE_EVENTS = frozenset(
     ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.chmod")
 ) | {"os.listdir", "os.scandir", "os.truncate", "shutil.rmtree", "shutil.copyfile", "os.utime"}
 
 
-def _hook() -> None:
-    """Have every file that Python opens told, from now on; a hook cannot be taken away."""
-    if _HOOKED:
+def _install_audit_hook() -> None:
+    """Notify observers of file access from now on; audit hooks cannot be removed."""
+    if _IS_HOOKED:
         return
-    _HOOKED.append(True)
+    _IS_HOOKED.append(True)
 
-    def heard(event: str, words: tuple[Any, ...]) -> None:
-        if _LOOKING and event in _EVENTS:
-            for look in _LOOKING:
-                look(event, words)
+    def notify_observers(event: str, arguments: tuple[Any, ...]) -> None:
+        if _OBSERVERS and event in _FILE_EVENTS:
+            for observe in _OBSERVERS:
+                observe(event, arguments)
 
-    sys.addaudithook(heard)
+    sys.addaudithook(notify_observers)
 
 
-def _copied(source: Any, place: Any) -> Any:
-    """Copy a file, a link or a pipe."""
+def _copy_entry(source: Any, target: Any) -> Any:
+    """Copy a file, a link or a named pipe."""
     if stat.S_ISFIFO(os.lstat(source).st_mode):
-        os.mkfifo(place)
-        return place
-    return shutil.copy2(source, place, follow_symlinks=False)
+        os.mkfifo(target)
+        return target
+    return shutil.copy2(source, target, follow_symlinks=False)
 
 
 @contextmanager
-def asking(app_state: InlineAppState, raised: list[str]) -> Iterator[Any]:
-    """Yield the application without threads; `raised` takes tracebacks of what nobody foresaw."""
-    before, failed = server.run_in_threadpool, endpoints._unexpected_error_response
+def unthreaded_application(app_state: InlineAppState, tracebacks: list[str]) -> Iterator[Any]:
+    """Yield the application without threads; append unexpected errors to `tracebacks`."""
+    run_in_threadpool, make_error_response = (
+        server.run_in_threadpool,
+        endpoints._unexpected_error_response,
+    )
 
-    def noted(error: Exception) -> endpoints.ApiResponse:
-        made = failed(error)
+    def record_error(error: Exception) -> endpoints.ApiResponse:
+        made = make_error_response(error)
         if made.status == 500:
-            raised.append("".join(traceback.format_exception(error)))
+            tracebacks.append("".join(traceback.format_exception(error)))
         return made
 
-    server.run_in_threadpool = _directly  # type: ignore[assignment]
-    endpoints._unexpected_error_response = noted
+    server.run_in_threadpool = _call_directly  # type: ignore[assignment]
+    endpoints._unexpected_error_response = record_error
     try:
         yield server.make_application(app_state, fixed_credentials())
     finally:
-        server.run_in_threadpool, endpoints._unexpected_error_response = before, failed
+        server.run_in_threadpool, endpoints._unexpected_error_response = (
+            run_in_threadpool,
+            make_error_response,
+        )

@@ -1,10 +1,10 @@
-"""Connections to the application's server, as no browser would hold them.
+"""Malformed connections to the server of the application.
 
-A case is some connections at once, as JSON: the bytes of each in pieces, which come in a stated
-order. Lengths and chunks are not what the head says, requests end in the middle, or another begins
-there; then the connection is closed, at either end. The server's own protocol reads them in this
-process, without a socket. Every answer is whole, who leaves in the middle leaves nothing, of edits
-of the same version one is taken, and the next who asks is answered.
+A case is several concurrent connections, as JSON: the bytes of each in pieces, with the order of
+all pieces. Lengths and chunks contradict the headers, requests are truncated or followed by others,
+and either end closes the connection. The protocol class of the server reads them in this process,
+without a socket. Every answer must be complete, an aborted request must leave no file, only one of
+several edits of a version may succeed, and the next request must be answered.
 
 - `connections`: the format
 """
@@ -29,16 +29,16 @@ from fuzz.asking import (
     SECRET,
     InlineAppState,
     RequestRefusedError,
-    Watched,
-    asking,
+    WatchedFolder,
     fixed_credentials,
+    unthreaded_application,
 )
 from fuzz.format import Format
 from fuzz.mutations import mutate_bytes
 from fuzz.requests import prepared, request_of, valid_requests, with_ticket
 
-#: What takes no more than some ms, and begins no process.
-_ASKED = (
+#: Prefixes of requests that take a few ms and start no process.
+_FAST_REQUESTS = (
     "files",
     "GET folder",
     "GET campaign",
@@ -52,45 +52,50 @@ _ASKED = (
     "ticket",
 )
 
-#: What others send of a request, and no more.
-_HALVES = ("", "G", "GET / HTTP/1.1\r\nHost: ", f"POST /api/session HTTP/1.1\r\nHost: {HOST}\r\n")
+#: Incomplete requests of other connections.
+_PARTIAL_REQUESTS = (
+    "",
+    "G",
+    "GET / HTTP/1.1\r\nHost: ",
+    f"POST /api/session HTTP/1.1\r\nHost: {HOST}\r\n",
+)
 
-#: So often the loop turns before a request hangs.
-_TURNS = 400
+#: Turns of the event loop after which a request is considered to hang.
+_MAX_LOOP_TURNS = 400
 
 
-def _bytes(request: dict[str, Any]) -> tuple[bytes, bytes]:
-    """Return a request's head and body as they are sent."""
+def _encode_request(request: dict[str, Any]) -> tuple[bytes, bytes]:
+    """Return head and body of a request as bytes."""
     lines = [f"{request['method']} {request['target']} HTTP/1.1"]
     lines += [f"{name}: {value}" for name, value in request["headers"]]
     return ("\r\n".join(lines) + "\r\n\r\n").encode("latin-1"), request["body"].encode("latin-1")
 
 
-def _sent(rng: Random, request: dict[str, Any]) -> bytes:
-    """Return what is sent for a request, right or wrong."""
-    head, body = _bytes(request)
-    kind = rng.randrange(9)
+def _mutate_request(rng: Random, request: dict[str, Any]) -> bytes:
+    """Return the bytes of a request, possibly malformed."""
+    head, body = _encode_request(request)
+    mutation = rng.randrange(9)
     length = re.compile(rb"content-length: \d+")
-    if kind == 0:
-        wrong = rng.choice((len(body) + 5, max(len(body) - 5, 0), 0, 10**7, 10**19, -1))
-        head = length.sub(b"content-length: %d" % wrong, head)
-    elif kind == 1:
+    if mutation == 0:
+        wrong_length = rng.choice((len(body) + 5, max(len(body) - 5, 0), 0, 10**7, 10**19, -1))
+        head = length.sub(b"content-length: %d" % wrong_length, head)
+    elif mutation == 1:
         head = length.sub(b"transfer-encoding: chunked", head)
-        parts = [body[i : i + 90] for i in range(0, len(body), 90)]
-        body = b"".join(b"%x\r\n%s\r\n" % (len(part), part) for part in parts) + b"0\r\n\r\n"
+        chunks = [body[i : i + 90] for i in range(0, len(body), 90)]
+        body = b"".join(b"%x\r\n%s\r\n" % (len(chunk), chunk) for chunk in chunks) + b"0\r\n\r\n"
         if rng.random() < 0.5:
             body = mutate_bytes(rng, body)
-    elif kind == 2:
+    elif mutation == 2:
         head = mutate_bytes(rng, head)
-    elif kind == 3:
+    elif mutation == 3:
         body += rng.choice((b"\r\n", b"x" * 70000, head + body, b"\0", b"GET / HTTP/1.1\r\n\r\n"))
-    elif kind == 4:
+    elif mutation == 4:
         body = body[: rng.randrange(len(body) + 1)]
-    elif kind == 5:
+    elif mutation == 5:
         head = head[: rng.randrange(len(head))]
         body = b""
-    elif kind == 6:
-        more = rng.choice(
+    elif mutation == 6:
+        extra_header = rng.choice(
             (
                 b"expect: 100-continue",
                 b"connection: close",
@@ -102,40 +107,40 @@ def _sent(rng: Random, request: dict[str, Any]) -> bytes:
                 b" folded",
             )
         )
-        head = head[:-2] + more + b"\r\n\r\n"
+        head = head[:-2] + extra_header + b"\r\n\r\n"
     return head + body
 
 
-def case(rng: Random, valid: dict[str, tuple[str, str, Any]]) -> bytes:
-    """Return some connections at once, as JSON."""
-    names = [name for name in valid if name.startswith(_ASKED)]
-    # Of edits of one file, made at once by several, all but one are refused.
-    same = rng.choice(names) if rng.random() < 0.3 else None
-    made = []
+def draw_case(rng: Random, valid: dict[str, tuple[str, str, Any]]) -> bytes:
+    """Return several concurrent connections as JSON."""
+    names = [name for name in valid if name.startswith(_FAST_REQUESTS)]
+    # Of several simultaneous edits of one file, only one is accepted.
+    common_request = rng.choice(names) if rng.random() < 0.3 else None
+    timed_pieces = []
     for number in range(rng.choice((1, 1, 2, 5))):
         content = b""
         for _ in range(rng.choice((1, 1, 2, 3))):
-            content += _sent(rng, request_of(*valid[same or rng.choice(names)]))
-        pieces = rng.choice((1, 2, 5))
-        cuts = sorted(rng.randrange(len(content) + 1) for _ in range(pieces - 1))
-        parts = [content[a:b] for a, b in zip([0, *cuts], [*cuts, len(content)], strict=True)]
-        made += [(rng.random(), number, part.decode("latin-1")) for part in parts]
-    # The pieces of each in their order, those of all mixed.
-    times = sorted(time for time, _, _ in made)
+            content += _mutate_request(rng, request_of(*valid[common_request or rng.choice(names)]))
+        n_pieces = rng.choice((1, 2, 5))
+        cuts = sorted(rng.randrange(len(content) + 1) for _ in range(n_pieces - 1))
+        pieces = [content[a:b] for a, b in zip([0, *cuts], [*cuts, len(content)], strict=True)]
+        timed_pieces += [(rng.random(), number, piece.decode("latin-1")) for piece in pieces]
+    # Interleave the connections, with the pieces of each in order.
+    times = sorted(time for time, _, _ in timed_pieces)
     steps: list[list[Any]] = []
-    for number in {number for _, number, _ in made}:
-        own = [part for _, one, part in made if one == number]
-        at = sorted(rng.sample(times, len(own)))
-        steps += [[time, number, part] for time, part in zip(at, own, strict=True)]
+    for number in {number for _, number, _ in timed_pieces}:
+        own_pieces = [piece for _, owner, piece in timed_pieces if owner == number]
+        own_times = sorted(rng.sample(times, len(own_pieces)))
+        steps += [[time, number, piece] for time, piece in zip(own_times, own_pieces, strict=True)]
     steps.sort(key=lambda step: (step[0], step[1]))
     ends = {str(n): rng.choice(("wait", "leave", "leave at once")) for n in {s[1] for s in steps}}
-    crowd = [rng.choice(_HALVES)] * rng.choice((0, 0, 3, 137))
-    asked = {"pieces": [step[1:] for step in steps], "ends": ends, "crowd": crowd}
-    return json.dumps(asked).encode()
+    crowd = [rng.choice(_PARTIAL_REQUESTS)] * rng.choice((0, 0, 3, 137))
+    plan = {"pieces": [step[1:] for step in steps], "ends": ends, "crowd": crowd}
+    return json.dumps(plan).encode()
 
 
-class _Wire(asyncio.Transport):
-    """The server's end of a connection, which keeps what is written."""
+class _RecordingTransport(asyncio.Transport):
+    """Server end of a connection that records the written bytes."""
 
     def __init__(self) -> None:
         super().__init__({"peername": ("127.0.0.1", 50000), "sockname": ("127.0.0.1", PORT)})
@@ -155,14 +160,14 @@ class _Wire(asyncio.Transport):
         return self.closed
 
     def pause_reading(self) -> None:
-        """Nothing has to be held back."""
+        """Do nothing: there is no flow control."""
 
     def resume_reading(self) -> None:
-        """Nothing was held back."""
+        """Do nothing: there is no flow control."""
 
 
-class _Complaints(logging.Handler):
-    """What the server would have told the terminal."""
+class _ErrorLog(logging.Handler):
+    """Log handler that collects the error messages of the server."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -189,69 +194,79 @@ class _Server:
         made: TimedConnection = make(
             config=self.config, server_state=self.state, app_state={}, _loop=loop
         )
-        made.connection_made(_Wire())
+        made.connection_made(_RecordingTransport())
         return made
 
     async def settle(self) -> None:
-        """Turn the loop until nothing is worked on, or all that is left waits for more."""
-        for _ in range(_TURNS):
+        """Run the event loop until no request is in progress, or all wait for more data."""
+        for _ in range(_MAX_LOOP_TURNS):
             await asyncio.sleep(0)
             if not self.state.tasks:
                 return
 
 
-async def _hold(app_state: InlineAppState, watched: Watched, asked: dict[str, Any]) -> list[bytes]:
-    """Hold the connections of a case; return what was answered on each."""
-    raised: list[str] = []
-    with asking(app_state, raised) as app, watched.looking():
+async def _run_connections(
+    app_state: InlineAppState, watched: WatchedFolder, plan: dict[str, Any]
+) -> list[bytes]:
+    """Run the connections of a case; return the answer bytes of each."""
+    tracebacks: list[str] = []
+    with unthreaded_application(app_state, tracebacks) as app, watched.looking():
         server = _Server(app_state, app)
-        held: dict[int, TimedConnection] = {}
-        left: set[int] = set()
-        for number, part in asked["pieces"]:
-            if number not in held:
-                held[number] = server.connect()
-            # Nothing at all would be its end.
-            if part and number not in left and not held[number].transport.is_closing():
-                held[number].data_received(with_ticket(app_state, part).encode("latin-1"))
+        connections_by_number: dict[int, TimedConnection] = {}
+        disconnected: set[int] = set()
+        for number, piece in plan["pieces"]:
+            if number not in connections_by_number:
+                connections_by_number[number] = server.connect()
+            # An empty piece would signal the end of the connection.
+            if (
+                piece
+                and number not in disconnected
+                and not connections_by_number[number].transport.is_closing()
+            ):
+                connections_by_number[number].data_received(
+                    with_ticket(app_state, piece).encode("latin-1")
+                )
             await asyncio.sleep(0)
-            if asked["ends"][str(number)] == "leave at once" and number % 2:
-                held[number].connection_lost(None)
-                left.add(number)
-        for number, end in asked["ends"].items():
+            if plan["ends"][str(number)] == "leave at once" and number % 2:
+                connections_by_number[number].connection_lost(None)
+                disconnected.add(number)
+        for number, end in plan["ends"].items():
             if end == "wait":
                 continue
-            held[int(number)].eof_received()
-            held[int(number)].connection_lost(None)
+            connections_by_number[int(number)].eof_received()
+            connections_by_number[int(number)].connection_lost(None)
         await server.settle()
         before = watched.state()
-        crowd = [server.connect() for _ in asked["crowd"]]
-        for one, half in zip(crowd, asked["crowd"], strict=True):
-            if half:
-                one.data_received(half.encode("latin-1"))
-        last = server.connect()
-        last.data_received(_bytes(request_of("GET", "/api/jobs", {}))[0])
+        crowd = [server.connect() for _ in plan["crowd"]]
+        for connection, partial_request in zip(crowd, plan["crowd"], strict=True):
+            if partial_request:
+                connection.data_received(partial_request.encode("latin-1"))
+        final_connection = server.connect()
+        final_connection.data_received(_encode_request(request_of("GET", "/api/jobs", {}))[0])
         await asyncio.sleep(0)
-        for _ in range(_TURNS):
+        for _ in range(_MAX_LOOP_TURNS):
             await asyncio.sleep(0)
-            if b"\r\n\r\n" in last.transport.written:
+            if b"\r\n\r\n" in final_connection.transport.written:
                 break
-        assert last.transport.written.startswith(b"HTTP/1.1 200"), "the next is not answered"
-        for one in (*held.values(), *crowd, last):
-            one.connection_lost(None)
-            one._unset_keepalive_if_required()
+        assert final_connection.transport.written.startswith(b"HTTP/1.1 200"), (
+            "the next is not answered"
+        )
+        for connection in (*connections_by_number.values(), *crowd, final_connection):
+            connection.connection_lost(None)
+            connection._unset_keepalive_if_required()
         await server.settle()
         assert not server.state.tasks, "a request hangs although nobody is there"
         after = watched.state()
-    assert not raised, raised[0]
-    # Who waited for more than ever came has left nothing of it.
-    gone = {name for name in before if name not in after}
-    new = {name for name in after if name not in watched.first}
-    hidden = {name for name in new if Path(name).name.startswith(".")}
+    assert not tracebacks, tracebacks[0]
+    # An incomplete request must leave no file.
+    removed = {name for name in before if name not in after}
+    added = {name for name in after if name not in watched.first}
+    hidden = {name for name in added if Path(name).name.startswith(".")}
     assert not hidden, f"left: {sorted(hidden)}"
-    assert all(Path(name).name.startswith(".") or name == "new" for name in gone), gone
+    assert all(Path(name).name.startswith(".") or name == "new" for name in removed), removed
     lost = {name for name in watched.first if name not in after}
     assert not lost, f"lost: {sorted(lost)}"
-    return [one.transport.written for one in held.values()]
+    return [one.transport.written for one in connections_by_number.values()]
 
 
 def connections(place: Path) -> Format:
@@ -261,29 +276,29 @@ def connections(place: Path) -> Format:
     app_state = InlineAppState(ServedFolder(watched.folder))
 
     def use(path: Path) -> None:
-        asked = json.loads(path.read_bytes())
-        complaints = _Complaints()
+        plan = json.loads(path.read_bytes())
+        error_log = _ErrorLog()
         for name in ("uvicorn.error", "asyncio"):
-            logging.getLogger(name).addHandler(complaints)
+            logging.getLogger(name).addHandler(error_log)
         try:
-            answered = asyncio.run(_hold(app_state, watched, asked))
+            answers = asyncio.run(_run_connections(app_state, watched, plan))
         finally:
             for name in ("uvicorn.error", "asyncio"):
-                logging.getLogger(name).removeHandler(complaints)
+                logging.getLogger(name).removeHandler(error_log)
             watched.restore()
-        assert not complaints.told, complaints.told[0]
-        _require_right(asked, b"".join(answered))
+        assert not error_log.told, error_log.told[0]
+        _check_answers(plan, b"".join(answers))
 
-    return Format(".json", lambda rng: case(rng, valid), use)
+    return Format(".json", lambda rng: draw_case(rng, valid), use)
 
 
-def _require_right(asked: dict[str, Any], answered: bytes) -> None:
-    statuses = re.findall(rb"HTTP/1\.1 (\d\d\d)", answered)
+def _check_answers(plan: dict[str, Any], answers: bytes) -> None:
+    statuses = re.findall(rb"HTTP/1\.1 (\d\d\d)", answers)
     assert not any(status >= b"500" for status in statuses), statuses
-    assert SECRET.encode() not in answered
-    sent = "".join(part for _, part in asked["pieces"])
+    assert SECRET.encode() not in answers
+    sent = "".join(part for _, part in plan["pieces"])
     if sent.count("PUT /api/text") > 1 and '"version": ""' not in sent:
-        taken = len(re.findall(rb'"file":"(three/campaign|LAB)\.toml","version"', answered))
+        taken = len(re.findall(rb'"file":"(three/campaign|LAB)\.toml","version"', answers))
         assert taken <= 2, f"{taken} edits of the same version of two files were taken"
     if not any(status.startswith(b"2") for status in statuses):
         raise RequestRefusedError(f"nothing was taken of {HOST}")

@@ -48,11 +48,11 @@ _CHARACTERS = 20_000
 
 
 class TookTooLongError(BaseException):
-    """A case took more processor time than it may."""
+    """A case exceeded its limit of processor time."""
 
 
 def content(name: str, form: Format, seed: int, number: int) -> bytes:
-    """Return the file of a case."""
+    """Return the content of the file of a case."""
     for attempt in range(50):
         try:
             return form.make(Random(f"{name}/{seed}/{number}/{attempt}"))
@@ -64,22 +64,22 @@ def content(name: str, form: Format, seed: int, number: int) -> bytes:
 
 
 def judge(form: Format, path: Path) -> tuple[str, str]:
-    """Return ("accepted" or "refused", "") or ("found", what is wrong)."""
-    before = _complained()
-    verdict, words = _judged(form, path)
-    if verdict != "found" and _complained() > before:
+    """Return ("accepted" or "refused", "") or ("found", description)."""
+    before = _stderr_length()
+    verdict, words = _judge_unguarded(form, path)
+    if verdict != "found" and _stderr_length() > before:
         return "found", "a library wrote to standard error"
     return verdict, words
 
 
-def _complained() -> int:
-    """Return how much native code, too, has written to standard error, where that is a file."""
+def _stderr_length() -> int:
+    """Return the size of standard error in bytes, including output of native code; 0 if no file."""
     status = os.fstat(2)
     return status.st_size if stat.S_ISREG(status.st_mode) else 0
 
 
-def _judged(form: Format, path: Path) -> tuple[str, str]:
-    _beside_time(SECONDS)
+def _judge_unguarded(form: Format, path: Path) -> tuple[str, str]:
+    _processor_time_limit(SECONDS)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -87,7 +87,7 @@ def _judged(form: Format, path: Path) -> tuple[str, str]:
             form.use(path)
     except CounterspinError as error:
         words = str(error)
-        _beside_time(0.0)
+        _processor_time_limit(0.0)
         if len(words) > _CHARACTERS:
             return "found", f"a message of {len(words)} characters\n{words[:300]}"
         if "Traceback" in words:
@@ -98,7 +98,7 @@ def _judged(form: Format, path: Path) -> tuple[str, str]:
     except BaseException:
         return "found", traceback.format_exc()
     finally:
-        _beside_time(0.0)
+        _processor_time_limit(0.0)
     taken = max(_peak(resource.RUSAGE_SELF), _peak(resource.RUSAGE_CHILDREN)) - _FIRST
     if taken > BYTES:
         return "found", f"took {taken / 1e9:.2f} GB"
@@ -112,8 +112,8 @@ def _peak(who: int) -> int:
 _FIRST = _peak(resource.RUSAGE_SELF)
 
 
-def _beside_time(seconds: float) -> None:
-    """Raise `TookTooLongError` once the process has used so much processor time; 0: never."""
+def _processor_time_limit(seconds: float) -> None:
+    """Raise `TookTooLongError` after this much processor time; 0: never."""
 
     def late(*_: object) -> None:
         raise TookTooLongError(f"more than {seconds:g} s of processor time")
@@ -123,7 +123,7 @@ def _beside_time(seconds: float) -> None:
 
 
 def _schedule(names: Sequence[str], first: int, count: int) -> Iterator[tuple[int, str]]:
-    """Yield the number of each case and its format, mixed by their shares."""
+    """Yield number and format of each case; draw formats in proportion to their shares."""
     shares = [FORMATS[name].share for name in names]
     for number in range(first, first + count):
         yield number, Random(f"which/{number}").choices(names, shares)[0]
@@ -171,7 +171,7 @@ def work(names: Sequence[str], seed: int, first: int, count: int, folder: Path) 
 
 
 @dataclass
-class Bag:
+class HuntStatistics:
     """What a hunt has brought.
 
     Attributes
@@ -210,9 +210,9 @@ class Bag:
 _ALIKE = 3
 
 
-def hunt(names: Sequence[str], seed: int, first: int, count: int, output: Path) -> Bag:
+def hunt(names: Sequence[str], seed: int, first: int, count: int, output: Path) -> HuntStatistics:
     """Have cases tried in a process that may die of one, and keep what is found in a folder."""
-    bag, began, end = Bag(), time.monotonic(), first + count
+    bag, began, end = HuntStatistics(), time.monotonic(), first + count
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -224,7 +224,7 @@ def hunt(names: Sequence[str], seed: int, first: int, count: int, output: Path) 
                 worker = subprocess.Popen(
                     [sys.executable, "-m", "fuzz", "--work", *words], cwd=ROOT, stderr=complaints
                 )
-                ended = _watched(worker, folder, bag, seed, output, began)
+                ended = _watch_worker(worker, folder, bag, seed, output, began)
             reached = int.from_bytes((folder / "at").read_bytes(), "little")
             if ended is None:
                 first = int(_LAST.get("next", end))
@@ -242,8 +242,13 @@ def hunt(names: Sequence[str], seed: int, first: int, count: int, output: Path) 
 _LAST: dict[str, object] = {}
 
 
-def _watched(
-    worker: subprocess.Popen[bytes], folder: Path, bag: Bag, seed: int, output: Path, began: float
+def _watch_worker(
+    worker: subprocess.Popen[bytes],
+    folder: Path,
+    bag: HuntStatistics,
+    seed: int,
+    output: Path,
+    began: float,
 ) -> str | None:
     """Follow a worker until it ends; return why, unless it was done."""
     _LAST.clear()
@@ -258,7 +263,7 @@ def _watched(
         for line in whole.splitlines():
             entry = json.loads(line)
             if "found" in entry:
-                _found(bag, output, entry["found"], entry["name"], seed, entry["number"])
+                _record_finding(bag, output, entry["found"], entry["name"], seed, entry["number"])
             else:
                 bag.counts.update(entry["counts"])
                 _LAST.update(entry)
@@ -285,14 +290,18 @@ def _processor_time(process: int) -> float:
     return sum(map(int, words[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
-def _keep(bag: Bag, output: Path, seed: int, names: Sequence[str], number: int, words: str) -> None:
+def _keep(
+    bag: HuntStatistics, output: Path, seed: int, names: Sequence[str], number: int, words: str
+) -> None:
     """Keep the case at which the process ended."""
     ((_, name),) = _schedule(names, number, 1)
     bag.counts[f"{name} found"] += 1
-    _found(bag, output, words, name, seed, number)
+    _record_finding(bag, output, words, name, seed, number)
 
 
-def _found(bag: Bag, output: Path, words: str, name: str, seed: int, number: int) -> None:
+def _record_finding(
+    bag: HuntStatistics, output: Path, words: str, name: str, seed: int, number: int
+) -> None:
     sign = f"{name}: {_signature(words)}"
     alike = bag.finds.setdefault(sign, [])
     if len(alike) >= _ALIKE:
@@ -316,7 +325,7 @@ def _signature(words: str) -> str:
     return f"{lines[-1].partition(':')[0]} at {where}"
 
 
-def _save(bag: Bag, output: Path, seed: int) -> None:
+def _save(bag: HuntStatistics, output: Path, seed: int) -> None:
     report = {"seed": seed, "tried": bag.tried, "seconds": round(bag.seconds)}
     report |= {"counts": dict(bag.counts), "finds": bag.finds}
     (output / "report.json").write_text(json.dumps(report, indent=1), encoding="utf-8")

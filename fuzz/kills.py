@@ -187,14 +187,16 @@ class Trial:
         faults = [f"{where}: {fault}" for fault in self._wrong(there)]
         again = self._command.again or self._command.words
         unfinished = there.keys() - self._before.keys() - {_LEDGER}
-        if any(not _hidden(name) for name in unfinished) and self._command.again is None:
+        if any(not _hidden_files(name) for name in unfinished) and self._command.again is None:
             return faults  # the output is there, and whole
         if self.name == "study" and "out/progress.npz" not in unfinished:
             again = self._command.words  # nothing was done yet, or all
             again += ("--overwrite",) if "out/study.json" in unfinished else ()
         if (status := self._runner.run(again, folder).status) != 0:
             return [*faults, f"{where}: does not go on (status {status})"]
-        ended = {name: content for name, content in _files(folder).items() if not _hidden(name)}
+        ended = {
+            name: content for name, content in _files(folder).items() if not _hidden_files(name)
+        }
         if ended != self._after:
             differing = [
                 n for n in ended.keys() | self._after.keys() if ended.get(n) != self._after.get(n)
@@ -215,12 +217,12 @@ class Trial:
         return faults + [
             f"{name} is not whole"
             for name in there.keys() - self._before.keys()
-            if not (_hidden(name) or name.startswith((*_PROGRESS, _LEDGER)))
+            if not (_hidden_files(name) or name.startswith((*_PROGRESS, _LEDGER)))
             and there[name] != self._after.get(name)
         ]
 
 
-def _hidden(name: str) -> bool:
+def _hidden_files(name: str) -> bool:
     return Path(name).name.startswith(".")
 
 

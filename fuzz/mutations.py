@@ -126,7 +126,7 @@ TOKENS = [
 _INTERESTING = (0x00, 0x01, 0x7F, 0x80, 0xFE, 0xFF, 0x20, 0x2C, 0x0A)
 
 
-def some(rng: Random, most: int = 8) -> int:
+def draw_count(rng: Random, most: int = 8) -> int:
     """Return how many mutations are made: mostly one or two."""
     count = 1
     while count < most and rng.random() < 0.45:
@@ -140,7 +140,7 @@ def some(rng: Random, most: int = 8) -> int:
 def mutate_bytes(rng: Random, content: bytes, near: tuple[int, int] | None = None) -> bytes:
     """Return bytes with a few flips, cuts, copies and foreign numbers, between two places."""
     data = bytearray(content)
-    for _ in range(some(rng)):
+    for _ in range(draw_count(rng)):
         if not data:
             return bytes(rng.randbytes(rng.randrange(40)))
         low, high = near or (0, len(data))
@@ -173,7 +173,7 @@ def mutate_bytes(rng: Random, content: bytes, near: tuple[int, int] | None = Non
 
 def mutate_text(rng: Random, text: str) -> str:
     """Return text with tokens, lines and characters put in, taken out and exchanged."""
-    for _ in range(some(rng)):
+    for _ in range(draw_count(rng)):
         lines = text.split("\n")
         place = rng.randrange(len(text) + 1)
         line = rng.randrange(len(lines))
@@ -193,10 +193,10 @@ def mutate_text(rng: Random, text: str) -> str:
         elif kind == 4:
             text = text[:place] + text[place + rng.choice((1, 1, 2, 5, 50)) :]
         elif kind == 5:
-            times = rng.choice((2, 200, 20000))
+            count = rng.choice((2, 200, 20000))
             pair = rng.choice(("[]", "{}", "()", '[""]', "  ", *(2 * token for token in TOKENS)))
             half = len(pair) // 2
-            text = text[:place] + pair[:half] * times + pair[half:] * times + text[place:]
+            text = text[:place] + pair[:half] * count + pair[half:] * count + text[place:]
         elif kind == 6:
             text = _with_other_number(rng, text)
         elif kind == 7:
@@ -238,7 +238,7 @@ def _number(rng: Random, old: str) -> str:
 def mutate_tree(rng: Random, tree: Any, others: list[Any]) -> Any:
     """Return a tree with values exchanged, moved, taken out or nested; parts of others come in."""
     tree = copy.deepcopy(tree)
-    for _ in range(some(rng)):
+    for _ in range(draw_count(rng)):
         places = list(_places(tree))
         if not places:
             return tree
@@ -370,7 +370,7 @@ def _toml(value: Any) -> str:
 def mutate_xml(rng: Random, whole: etree._Element) -> bytes:
     """Return a document with elements taken out, copied, moved, renamed, or with other contents."""
     root = copy.deepcopy(whole)
-    for _ in range(some(rng)):
+    for _ in range(draw_count(rng)):
         elements = [e for e in root.iter() if isinstance(e.tag, str)]
         one = rng.choice(elements)
         parent = one.getparent()
@@ -431,7 +431,7 @@ _CELLS = (
 def mutate_table(rng: Random, rows: list[list[str]]) -> bytes:
     """Return a table of cells as text, with cells, rows, columns and its form changed."""
     rows = [list(row) for row in rows]
-    for _ in range(some(rng)):
+    for _ in range(draw_count(rng)):
         if not rows:
             break
         at = rng.randrange(len(rows))

@@ -5,9 +5,9 @@ words, headers, form, pieces and end are then changed. They are asked of a folde
 nobody expects in one: links that lead out, pipes, names that are no text.
 
 - `application`: the format; `VALID`: a valid request of each kind
-- `InlineAppState`, `ask`: what is asked, and how
-- `require_right`: what must hold of an answer
-- `Watched`: that no file outside was touched, and none lost
+- `InlineAppState`, `send_request`: sending of requests
+- `check_answer`: checks of an answer
+- `WatchedFolder`: checks that no file outside is accessed, and none is lost
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ from fuzz.asking import (
     TOKEN,
     InlineAppState,
     RequestRefusedError,
-    Watched,
-    ask,
-    asking,
-    require_right,
+    WatchedFolder,
+    check_answer,
+    send_request,
+    unthreaded_application,
 )
 from fuzz.format import Format
 from fuzz.mutations import HOSTILE, mutate_bytes, mutate_text, mutate_tree
@@ -579,14 +579,14 @@ def write_served(folder: Path) -> None:
     write_odd(folder)
 
 
-def prepared(place: Path) -> tuple[Path, Watched]:
+def prepared(place: Path) -> tuple[Path, WatchedFolder]:
     """Return a folder as each case finds it, and the one that is served, below a place."""
     template = place / "template"
     template.mkdir()
     write_served(template)
     (place / "served").mkdir()
     shutil.copytree(place / "outside", place / "served" / "outside")
-    return template, Watched(place / "served" / "folder", template)
+    return template, WatchedFolder(place / "served" / "folder", template)
 
 
 def with_ticket(app_state: InlineAppState, sent: str) -> str:
@@ -614,24 +614,26 @@ def application(place: Path) -> Format:
     return Format(".json", lambda rng: case(rng, valid, others), use)
 
 
-async def _all(app_state: InlineAppState, watched: Watched, requests: list[dict[str, Any]]) -> None:
+async def _all(
+    app_state: InlineAppState, watched: WatchedFolder, requests: list[dict[str, Any]]
+) -> None:
     """Ask all requests of a case; raise what is found, or that the last one was refused."""
     raised: list[str] = []
     entered = 0
     before = watched.first
-    with asking(app_state, raised) as app:
+    with unthreaded_application(app_state, raised) as app:
         for number, said in enumerate(requests):
             request = said | {"target": with_ticket(app_state, said["target"])}
             with watched.looking():
-                answered = await ask(app, request)
+                answered = await send_request(app, request)
                 if request["target"].startswith(TICKET_PATH) and answered.status == 200:
-                    again = await ask(app, request)
+                    again = await send_request(app, request)
                     assert again.status == 404, "a ticket counted twice"
             entered += request["target"].startswith(SESSION_PATH) and answered.status == 200
             assert entered <= 1, "a link counted twice"
             before = watched.require_whole(request, answered.status, before)
             try:
-                require_right(request, answered, "\n".join(raised))
+                check_answer(request, answered, "\n".join(raised))
             except RequestRefusedError:
                 if number == len(requests) - 1:
                     raise
