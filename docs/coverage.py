@@ -43,7 +43,7 @@ BAND_FACTOR: Final = 1.96
 #: Cases in which u includes noise that the records do not show.
 HIDDEN_NOISE_CASES: Final = (
     "white noise, not stated",
-    "white noise and hidden random walk, not stated",
+    "unstated noise: white noise with a hidden random walk",
 )
 
 

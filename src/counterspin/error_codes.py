@@ -115,7 +115,7 @@ CODES: Final[Mapping[str, str]] = {
     "certificate-incomplete": "Data or evidence required for a certificate are missing.",
     "certificate-expired": "A signer's certificate is not valid at this time.",
     "invalid-signature": "A signature is missing or not valid.",
-    "wrong-amendment": "A certificate does not amend the specified certificate.",
+    "wrong-amendment": "The certificate is not an amendment of the specified certificate.",
     "signer-failed": "The signing command failed.",
     "unusable-key": "A key or its certificate cannot be used to sign.",
     "password-needed": "A key requires a password.",
@@ -133,7 +133,7 @@ CODES: Final[Mapping[str, str]] = {
     "missing-package": "An optional package or component is not installed.",
     "installation-altered": "Installed files are altered or missing.",
     "worker-failed": "A process or worker could not be started, or it ended unexpectedly.",
-    "cluster-unreachable": "The Dask cluster does not respond.",
+    "cluster-unreachable": "The Dask cluster is not responding.",
     "port-in-use": "The port of the application is not available.",
     # The application
     "request-refused": "The application cannot perform the requested action.",

@@ -64,7 +64,7 @@ _LOCAL_HOST_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
 
 #: Response to requests for data without the key.
 MISSING_KEY_MESSAGE: Final = (
-    "This window does not have the key of the server. Open the most recent link that is shown "
+    "This window does not have the server's key. Open the most recent link that is shown "
     "in the terminal of `counterspin serve`. Each link works only once."
 )
 

@@ -342,7 +342,7 @@ def render_page_picture(
         raise NotFoundError("the page with this plot is still being prepared")
     pictures = [block for block in page.blocks if isinstance(block, Picture)]
     if not 0 <= index < len(pictures):
-        raise NotFoundError(f"the plot {index} does not exist")
+        raise NotFoundError(f"plot {index} does not exist")
     files = [app.file(name) for name in names]
     with app.drawing:
         return app.cache.get(

@@ -162,7 +162,7 @@ def _find_run(app: AppState, name: str, run: str) -> tuple[Campaign, Run]:
     for candidate in campaign.runs:
         if candidate.name == run:
             return campaign, candidate
-    raise NotFoundError(f"{name} has no run {run!r} with a record")
+    raise NotFoundError(f"{name}: run {run!r} does not exist, or it has no record")
 
 
 def _get_cached_record(campaign: Campaign, run: Run) -> PlotColumns:
@@ -198,7 +198,7 @@ def check_run(app: AppState, name: str, run: str) -> RunCheck:
     campaign = app.campaign(name)
     records = [candidate.record for candidate in campaign.runs if candidate.name == run]
     if not records:
-        raise NotFoundError(f"{name} has no run {run!r} with a record")
+        raise NotFoundError(f"{name}: run {run!r} does not exist, or it has no record")
     run_check = check(records[0], campaign, run=run)
     blocks = list(map(typeset_block, run_check.blocks()))
     return {

@@ -287,8 +287,8 @@ def serve(
 
         def print_link(link: str) -> None:
             print_line(
-                "This link has been used. Each link works only once. Link for another browser "
-                "or window:"
+                "This link has already been used. Each link works only once. Link for another "
+                "browser or window:"
             )
             print_line(f"  {link}")
 

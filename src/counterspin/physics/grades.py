@@ -83,8 +83,8 @@ _SIZE_ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
         (
             0.1,
             1e-4,
-            "navigation grade means 1 nautical mile per hour: a bias of 1e-4 g tilts the platform "
-            "by 1e-4 rad, or 0.34 nautical miles; dual-use list, 7A001.a.1: "
+            "navigation grade (1 nautical mile per hour): a bias of 1e-4 g tilts the platform by "
+            "1e-4 rad, a position error of 0.34 nautical miles; dual-use list, 7A001.a.1: "
             "better than 130 µg over one year",
         ),
         (0.3, 1.2e-3, "MS1010: long-term bias repeatability 1.2 mg"),
@@ -117,8 +117,16 @@ _SIZE_ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     "K_4": ((1e-5, 1e-9, _NO_SOURCE), (1e-4, 1e-7, _NO_SOURCE), (1e-3, 1e-6, _NO_SOURCE)),
     "K_5": (
         (1e-5, 1e-8, "order-of-magnitude estimate: effect of 1 mg at 10 g, as for K_II and K_III"),
-        (1e-4, 3e-7, "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to fifth order"),
-        (1e-3, 1e-6, "ADXL350: nonlinearity ±0.5 % of 8 g, attributed entirely to fifth order"),
+        (
+            1e-4,
+            3e-7,
+            "MS1010: nonlinearity 0.3 % of 10 g, attributed entirely to the fifth-order term",
+        ),
+        (
+            1e-3,
+            1e-6,
+            "ADXL350: nonlinearity ±0.5 % of 8 g, attributed entirely to the fifth-order term",
+        ),
     ),
     "K_0_asym": (
         (1e-2, 5e-6, f"{_NO_SOURCE}: a twentieth of K_F"),

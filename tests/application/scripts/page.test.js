@@ -284,7 +284,7 @@ test("a refusal says what the server says, or its status", async () => {
   server.answer = () => {
     throw new TypeError("network");
   };
-  await assert.rejects(get("result"), { status: 0, message: /does not respond/ });
+  await assert.rejects(get("result"), { status: 0, message: /is not responding/ });
 });
 
 test("a key that the server no longer knows is forgotten, but none that came since", async () => {

@@ -72,7 +72,7 @@ async function exchange(path, request) {
   try {
     response = await fetch(`/api/${path}`, { ...request, headers });
   } catch {
-    throw new RequestError(0, { error: "The server does not respond. Check that `counterspin serve` is still running." });
+    throw new RequestError(0, { error: "The server is not responding. Check that `counterspin serve` is still running." });
   }
   if (response.ok) return response;
   // The key of an earlier server is useless, also for other windows.

@@ -311,7 +311,7 @@ export class Confirmation {
   }
 
   /**
-   * The role of a column, as a choice.
+   * Return the select control for the role of a column.
    * @param {import("./answers.js").ColumnEntry} column
    * @param {string} role
    * @param {Map<string, Question>} questions
@@ -344,10 +344,10 @@ export class Confirmation {
   }
 
   /**
-   * The field of an answer.
+   * Return the input field of a question.
    * @param {Question} question
    * @param {Map<string, string>} mistakes
-   * @param {boolean} isBare without its label
+   * @param {boolean} isBare whether the label is omitted
    */
   field(question, mistakes, isBare = false) {
     const { key, guess } = question;

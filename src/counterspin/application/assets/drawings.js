@@ -6,7 +6,7 @@ import { attempt, make } from "./dom.js";
 /** Drawing -> its caption. */
 const CAPTIONS = /** @type {Record<string, string>} */ ({
   "accelerometer": "Accelerometer axes",
-  "arm": "Direction of the specific force on the arm",
+  "arm": "Direction of the specific force relative to the arm",
   "double-turntable": "Zero angle and positive direction",
   "tumble": "Zero angle and positive direction",
 });

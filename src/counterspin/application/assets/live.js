@@ -17,7 +17,7 @@ class UncertaintyChart {
     this.history = /** @type {CurrentUncertainties[]} */ ([]);
     this.box = make("div", { class: "canvas", role: "img", "aria-label": "Standard uncertainty versus recorded time" });
     this.element = make("figure", { hidden: true }, make("figcaption", {},
-      "Standard uncertainty versus recorded time, since this page was opened"), this.box);
+      "Standard uncertainty versus recorded time; the curve starts when this page is opened"), this.box);
     /** @type {any} */
     this.chart = null;
     new ResizeObserver(() => {
