@@ -193,7 +193,7 @@ def test_changed_input_has_difference_without_uncertainty(seed_1):
     assert "The changes listed below cause the difference" in comparison_text(changed_radius)
     repeated = cs.compare(cs.calibrate(exact), cs.calibrate(exact))
     assert repeated.agreements[0].p is None
-    assert "are equal (the same records)" in comparison_text(repeated)
+    assert "are equal (both use the same records)" in comparison_text(repeated)
     # The same change of an uncertain radius, stated twice: the values are independent.
     twice = cs.compare(
         result, cs.calibrate(records.change({"centrifuge": {"radius": "2.5001 ± 1e-4 m"}}))

@@ -39,9 +39,9 @@ _COMPARISON_TITLE: Final = "Comparison of results"
 FILE_DESCRIPTION: Final = "a comparison"
 
 _OVERLAP_TEXTS: Final = {
-    "same": "the same records",
-    "part": "some records in common",
-    "independent": "independent records",
+    "same": "both use the same records",
+    "part": "they share some records",
+    "independent": "their records are independent",
 }
 
 
@@ -143,8 +143,8 @@ def agreement_sentence(comparison: ResultComparison, agreement: PairAgreement) -
         return f"{subject} are equal ({overlap_text})."
     if agreement.p is None:
         return (
-            f"{subject} use the same records, so chance cannot explain the difference "
-            f"({overlap_text}). The changes listed below cause the difference."
+            f"{subject} use the same records, so chance cannot explain the difference. The "
+            "changes listed below cause the difference."
         )
     verdict = "agree" if agreement.agrees else "differ significantly"
     test_text = (

@@ -126,7 +126,7 @@ def second_stage_rows() -> tuple[Row, ...]:
             "exact",
             "stated plan, exact: K_II and K_F",
             k_ii_uncertainty(_fit_exact_second_stage(plan_runs)),
-            "method of counterspin: 1/4, no ripple column, bias estimated",
+            "counterspin's method: 1/4, no ripple column, bias estimated",
             ".3e",
         ),
         make_row(

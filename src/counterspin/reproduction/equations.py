@@ -77,12 +77,12 @@ def _expansion_rows() -> tuple[Row, ...]:
             printed_k_ii_fit.b2 / RECTIFICATION_UNIT,
             k_ii_fit.b2 / TABLE_1["K_II"] / RECTIFICATION_UNIT,
             "R^2 w0^4/g",
-            "cos^2 has the mean 1/2, and the double integral of 1/2 is t^2/4",
+            "cos^2 has a mean of 1/2, and the double integral of 1/2 is t^2/4",
             ".4f",
         ),
         Row(
             "eq13.k_ii_constant",
-            "Eq. 13: K_II constant at the strobes, 2 pi rad/s",
+            "Eq. 13: the K_II term is constant at the strobes, rate 2 pi rad/s",
             TABLE_1["K_II"] * float(printed_k_ii_fit.coefficients[0]),
             float(k_ii_fit.coefficients[0]),
             "m",
@@ -143,7 +143,7 @@ def _ripple_and_drift_rows() -> tuple[Row, ...]:
             float(printed_ripple_coefficients[2] - printed_steady_coefficients[2]) / ripple_unit,
             float(ripple_coefficients[2] - steady_coefficients[2]) / ripple_unit,
             "K_I R w0 w_p sin(phi)",
-            "half the mean of Eq. 5 above; with the exact kinematics it vanishes",
+            "half the mean of Eq. 5 above; with the exact kinematics, the term vanishes",
             "z.3f",
         ),
         Row(
@@ -173,8 +173,8 @@ def _ripple_and_drift_rows() -> tuple[Row, ...]:
             float(drift_coefficients[2] - steady_coefficients[2]) / drift_unit / RATE,
             "K_I R C w0",
             (
-                "a column proportional to w0 must absorb this coefficient, which is zero with a "
-                "measured angle"
+                "a column proportional to w0 must absorb this coefficient; with a measured angle, "
+                "the coefficient is zero"
             ),
             "z.2f",
         ),
@@ -221,7 +221,7 @@ def _constant_rows() -> tuple[Row, ...]:
             _printed_constant(drift=drift_rate) / drift_unit,
             float(drift_effect[0]) / drift_unit,
             "K_I R C/w0",
-            "the centripetal part by itself gives -4, and the complete acceleration gives 0; "
+            "the centripetal acceleration alone gives -4, and the total acceleration gives 0; "
             "the error affects only b0",
             "z.2f",
         ),

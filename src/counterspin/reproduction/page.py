@@ -34,8 +34,8 @@ def reproduction_blocks(reproduction: Reproduction) -> list[Block]:
         blocks += [Heading(section.title), _section_table(section)]
     blocks.append(
         Paragraph(
-            'The column "Paper" gives the printed value, or the value of the printed equation. '
-            'The column "counterspin" gives the computed value. The derivations are in '
+            'The column "Paper" gives the printed value, or the value that the printed equation '
+            'gives. The column "counterspin" gives the computed value. The derivations are in '
             "docs/paper.md.",
             "quiet",
         )
