@@ -10,7 +10,12 @@ from pathlib import Path
 import pytest
 
 from counterspin.__main__ import _prefetch_context
-from counterspin.campaign.checksums import _PREFETCHED, Checksums, checksums_of, prefetch_campaign
+from counterspin.campaign.checksums import (
+    _CHECKSUMS_BY_PATH,
+    Checksums,
+    checksums_of,
+    prefetch_campaign,
+)
 from counterspin.input import open_file
 
 #: Timeout of all waits, s; only a failure reaches it.
@@ -183,7 +188,7 @@ def test_commands_with_early_checksums(folder, monkeypatch, words, begins):
     words = [str(folder) if word == "FOLDER" else word for word in words]
     monkeypatch.setattr(sys, "argv", ["counterspin", *words])
     with _prefetch_context():
-        begun = dict(_PREFETCHED)
+        begun = dict(_CHECKSUMS_BY_PATH)
         with checksums_of(folder) as checksums, checksums_of([]) as others:
             assert begun == ({folder: checksums} if begins else {})
             assert checksums._futures

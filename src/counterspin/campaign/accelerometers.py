@@ -88,7 +88,7 @@ class Accelerometer(SettingsSection):
     """One accelerometer under calibration; `AccelerometerKeys` adds a key for each term."""
 
     # A triad may omit the axes, which are required otherwise.
-    model_config = ConfigDict(json_schema_extra=lambda made: made.pop("required", None))
+    model_config = ConfigDict(json_schema_extra=lambda schema: schema.pop("required", None))
 
     input_axis: Direction = key_field(
         "direction of the input axis on the level platform; may be omitted for a "
@@ -304,7 +304,7 @@ def update_responses(
 
     input_values: (accelerometer, input) -> value; the cutoff of the recorder has the owner "".
     """
-    updated = {}
+    updated_by_name = {}
     for name, accelerometer in accelerometers.items():
         own_values = {
             symbol: value
@@ -312,8 +312,8 @@ def update_responses(
             if symbol in RESPONSE_INPUTS and owner in ("", name)
         }
         response = replace_inputs(accelerometer.response, own_values)
-        updated[name] = accelerometer.replace_private(response=response)
-    return updated
+        updated_by_name[name] = accelerometer.replace_private(response=response)
+    return updated_by_name
 
 
 class AccelerometersReader:

@@ -72,10 +72,10 @@ class Checksums:
 
     def checksums(self, files: Iterable[Path]) -> list[str]:
         """Return the checksums of files, such as ``sha256:9f86...``, or ``unreadable``."""
-        requested = list(files)
-        self._submit(requested)
+        requested_files = list(files)
+        self._submit(requested_files)
         self.run_parallel()
-        return [self._futures[file].result()[0] for file in requested]
+        return [self._futures[file].result()[0] for file in requested_files]
 
     def identity(self, file: Path) -> FileIdentity | None:
         """Return the identity of a file's content; None if it is unreadable or was changed."""
@@ -115,7 +115,7 @@ def _lower_priority() -> None:
 
 
 #: Campaign path -> prefetched checksums that have not been requested yet.
-_PREFETCHED: dict[Path, Checksums] = {}
+_CHECKSUMS_BY_PATH: dict[Path, Checksums] = {}
 
 
 @contextmanager
@@ -123,11 +123,11 @@ def prefetch_campaign(path: str) -> Iterator[None]:
     """Start hashing and reading a campaign's files; on exit, cancel the remaining work."""
     with Checksums() as checksums:
         _start_reading(checksums, path)
-        _PREFETCHED[Path(path)] = checksums
+        _CHECKSUMS_BY_PATH[Path(path)] = checksums
         try:
             yield
         finally:
-            _PREFETCHED.clear()
+            _CHECKSUMS_BY_PATH.clear()
 
 
 @contextmanager
@@ -138,8 +138,8 @@ def checksums_of(campaign: object) -> Iterator[Checksums]:
         has been read, no file is started.
     """
     path = Path(campaign) if isinstance(campaign, Path | str) else None
-    if path is not None and path in _PREFETCHED:
-        yield _PREFETCHED.pop(path)
+    if path is not None and path in _CHECKSUMS_BY_PATH:
+        yield _CHECKSUMS_BY_PATH.pop(path)
         return
     with Checksums() as checksums:
         if path is not None:

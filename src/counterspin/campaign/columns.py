@@ -154,17 +154,18 @@ class AngleChannel(_Channel):
     def spec(self) -> ColumnSpec:
         """Specification of the column, rad; for pulses, of their times in s."""
         if self.pulses:
-            pulses_per_revolution, pulses = self.per_revolution or 1.0, make_column_spec(self, "s")
+            pulse_spec = make_column_spec(self, "s")
+            pulses_per_revolution = self.per_revolution or 1.0
             return replace(
-                pulses, offset=self.zero, kind="pulses", per_revolution=pulses_per_revolution
+                pulse_spec, offset=self.zero, kind="pulses", per_revolution=pulses_per_revolution
             )
         sign = -1.0 if self.sense == "clockwise" else 1.0
         if self.per_revolution is None:
             angle = make_column_spec(self, "rad")
             return replace(angle, factor=sign * angle.factor, offset=self.zero)
-        counts = make_column_spec(self, "count")
-        factor = sign * counts.factor * 2.0 * math.pi / self.per_revolution
-        return replace(counts, factor=factor, offset=self.zero, target_unit="")
+        count_spec = make_column_spec(self, "count")
+        factor = sign * count_spec.factor * 2.0 * math.pi / self.per_revolution
+        return replace(count_spec, factor=factor, offset=self.zero, target_unit="")
 
 
 class TemperatureChannel(_Channel):
@@ -231,8 +232,8 @@ class TableDialect(SettingsSection):
     @property
     def dialect(self) -> Dialect:
         """The stated format, as used by the readers of files."""
-        keys = Dialect.__dataclass_fields__
-        options = {key: getattr(self, key) for key in keys if hasattr(self, key)}
+        field_names = Dialect.__dataclass_fields__
+        options = {key: getattr(self, key) for key in field_names if hasattr(self, key)}
         if self.select is not None:
             options["select"] = (self.select.column, self.select.value)
         return Dialect(**options)

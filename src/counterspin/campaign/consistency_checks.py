@@ -43,7 +43,7 @@ _MAX_RATIO_WITH_RESPONSE: Final = 2
 _NAME_PATTERN: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
-def check(function: Callable[..., Mistakes]) -> Callable[..., Mistakes]:
+def register_check(function: Callable[..., Mistakes]) -> Callable[..., Mistakes]:
     """Register a check; its parameter names are the sections that it needs."""
     _CHECKS[function] = tuple(signature(function).parameters)
     return function
@@ -60,7 +60,7 @@ def run_checks(sections: Mapping[str, Any], problems: Problems) -> None:
                 problems.add(path, message)
 
 
-@check
+@register_check
 def _missing_sections(
     document: Mapping[str, Any], indexed_runs: IndexedRuns, valid_readings: Sequence[Reading]
 ) -> Mistakes:
@@ -79,7 +79,7 @@ def _missing_sections(
             yield (key,), Problem("is missing", "missing-key")
 
 
-@check
+@register_check
 def _missing_runs(document: Mapping[str, Any], indexed_runs: IndexedRuns) -> Mistakes:
     if not indexed_runs and "readings" not in document:
         message = "must have at least one entry" if "runs" in document else "is missing"
@@ -87,7 +87,7 @@ def _missing_runs(document: Mapping[str, Any], indexed_runs: IndexedRuns) -> Mis
         yield ("runs",), Problem(message, "missing-key")
 
 
-@check
+@register_check
 def _repeated_names_and_files(document: Mapping[str, Any], indexed_runs: IndexedRuns) -> Mistakes:
     """Yield names and files that two runs use; runs may use different parts of one file."""
     index_by_name: dict[str, int] = {}
@@ -174,14 +174,14 @@ def _time_range(entry: Mapping[str, Any]) -> tuple[float, float]:
     return start, stop
 
 
-@check
+@register_check
 def _conflicting_clocks(runs: Mapping[int, Run]) -> Mistakes:
     """Yield recorders for which two runs state different clocks."""
-    clocks: dict[str, tuple[str, Quantity | None]] = {}
+    clock_by_recorder: dict[str, tuple[str, Quantity | None]] = {}
     for run in runs.values():
         if run.recording is not None and run.recording.recorder:
             name_and_clock = run.name, run.recording.clock
-            first_name, clock = clocks.setdefault(run.recording.recorder, name_and_clock)
+            first_name, clock = clock_by_recorder.setdefault(run.recording.recorder, name_and_clock)
             if clock != run.recording.clock:
                 message = (
                     f'state different clocks for the recorder "{run.recording.recorder}"; state '
@@ -190,7 +190,7 @@ def _conflicting_clocks(runs: Mapping[int, Run]) -> Mistakes:
                 yield ("runs",), f'"{first_name}" and "{run.name}" {message}'
 
 
-@check
+@register_check
 def _unusable_table_ratio(
     runs: Mapping[int, Run],
     centrifuge: CentrifugeSettings | None,
@@ -203,16 +203,16 @@ def _unusable_table_ratio(
         if not run.turns_in_space:
             continue
         path = ("runs", index, "table_ratio")
-        prefix = "turns the instrument in space"
+        reason = "turns the instrument in space"
         if centrifuge is not None and not centrifuge.strapped:
-            yield path, f"{prefix} with the table; write strapped = true in [centrifuge]"
+            yield path, f"{reason} with the table; write strapped = true in [centrifuge]"
         other_observables = sorted(
             {name for name in observables.values() if name != "specific_force"}
         )
         if other_observables:
             yield (
                 path,
-                f"{prefix}; record specific_force, because {' or '.join(other_observables)} "
+                f"{reason}; record specific_force, because {' or '.join(other_observables)} "
                 "along a rotating axis is not evaluated",
             )
         has_response = any(
@@ -226,10 +226,10 @@ def _unusable_table_ratio(
             )
         recording = run.recording or records
         if recording is not None and recording.angle is None:
-            yield path, f"{prefix}; record the angle of the spindle ([records] angle)"
+            yield path, f"{reason}; record the angle of the spindle ([records] angle)"
 
 
-@check
+@register_check
 def _misplaced_lever_arm(model: ErrorModel, runs: Mapping[int, Run]) -> Mistakes:
     """Yield the lever arm if it is requested, or if no table turns in space."""
     symbols_by_key = {"terms": model.terms, "hold": model.considered, "priors": tuple(model.priors)}
@@ -245,14 +245,14 @@ def _misplaced_lever_arm(model: ErrorModel, runs: Mapping[int, Run]) -> Mistakes
             yield ("model", key), f'"{LEVER_ARM}" {reason}'
 
 
-@check
+@register_check
 def _truth_without_simulation(document: Mapping[str, Any], runs: Mapping[int, Run]) -> Mistakes:
     for index, run in runs.items():
         if run.truth is not None and not {"simulation", "truth"} & document.keys():
             yield ("runs", index, "truth"), "requires [simulation] or [truth]"
 
 
-@check
+@register_check
 def _low_frequencies(
     accelerometers: Mapping[str, Accelerometer], runs: Mapping[int, Run]
 ) -> Mistakes:
@@ -265,7 +265,7 @@ def _low_frequencies(
                 yield path, message
 
 
-@check
+@register_check
 def _invalid_accelerometer_names(tables: Mapping[str, Any]) -> Mistakes:
     """Yield names that conflict with tables of [truth], or that TOML would quote."""
     for name in tables:
@@ -277,7 +277,7 @@ def _invalid_accelerometer_names(tables: Mapping[str, Any]) -> Mistakes:
             yield ("accelerometers", name), Problem(message, "invalid-name")
 
 
-@check
+@register_check
 def _repeated_columns(
     records: RecordsSettings | None, accelerometers: Mapping[str, Accelerometer]
 ) -> Mistakes:
@@ -301,7 +301,7 @@ def _repeated_columns(
         key_by_column[column] = key
 
 
-@check
+@register_check
 def _invalid_noise_record(noise: NoiseSettings | None, indexed_runs: IndexedRuns) -> Mistakes:
     entries = [entry for _, entry in indexed_runs]
     if noise is not None and noise.rest is not None:
@@ -311,14 +311,14 @@ def _invalid_noise_record(noise: NoiseSettings | None, indexed_runs: IndexedRuns
             yield ("noise", "from"), "is the record of a run, not a record at rest"
 
 
-@check
+@register_check
 def _unused_noise(noise: NoiseSettings | None, observables: Mapping[str, str]) -> Mistakes:
     for key in OBSERVABLES if noise and observables else ():
         if key not in observables.values() and getattr(noise, key) != 0.0:
             yield ("noise", key), f"no accelerometer has {key} records"
 
 
-@check
+@register_check
 def _encoder_without_angle(model: ErrorModel, records: RecordsSettings | None) -> Mistakes:
     """Yield encoder terms if no angle is recorded."""
     for key, symbols in (("terms", model.terms), ("hold", model.considered)):
@@ -330,7 +330,7 @@ def _encoder_without_angle(model: ErrorModel, records: RecordsSettings | None) -
             yield ("model", key), "contains encoder errors, but no angle is recorded"
 
 
-@check
+@register_check
 def _terms_without_effect(
     model: ErrorModel,
     indexed_runs: IndexedRuns,
@@ -371,7 +371,7 @@ def _explain_missing_effect(effect: AttitudeError | TrajectoryError, is_strapped
     return ""
 
 
-@check
+@register_check
 def _missing_conditions(
     model: ErrorModel,
     runs: Mapping[int, Run],
@@ -386,23 +386,23 @@ def _missing_conditions(
         if symbol in {*model.terms, *model.considered}
     ]
     for key in STATED_CONDITIONS:
-        conditions = (key, "direction") if key == "temperature" else (key,)
+        condition_keys = (key, "direction") if key == "temperature" else (key,)
         term_symbol = next(
-            (row.symbol for row in requested_rows if row.effect.condition in conditions), None
+            (row.symbol for row in requested_rows if row.effect.condition in condition_keys), None
         )
         runs_with_record = recorded_temperatures if key == "temperature" else ()
-        has_condition = [
+        stated_flags = [
             getattr(run, key) is not None or run.name in runs_with_record for run in runs.values()
         ]
-        if term_symbol is None and (key != "time" or not any(has_condition)):
+        if term_symbol is None and (key != "time" or not any(stated_flags)):
             continue
         reason = f"{term_symbol} is in the model" if term_symbol else "other runs state this value"
         (example,) = Run.model_fields[key].examples or ("",)
-        for index, is_stated in zip(runs, has_condition, strict=True):
+        for index, is_stated in zip(runs, stated_flags, strict=True):
             if not is_stated:
                 message = f'is missing: {reason}; write for example {key} = "{example}"'
                 yield ("runs", index, key), Problem(message, "missing-key")
-        if runs_with_record or reference is not None or not runs or not all(has_condition):
+        if runs_with_record or reference is not None or not runs or not all(stated_flags):
             continue
         if term_symbol and key == "temperature":
             temperatures = {

@@ -15,9 +15,9 @@ from counterspin.inference.priors import correlation_matrix
 from counterspin.physics.terms import ACCELEROMETER_TERMS
 
 #: The key in [model.priors].
-CORRELATION: Final = "correlation"
+CORRELATION_KEY: Final = "correlation"
 
-_PATH: Final[KeyPath] = ("model", "priors", CORRELATION)
+_KEY_PATH: Final[KeyPath] = ("model", "priors", CORRELATION_KEY)
 
 #: Smallest eigenvalue of a correlation matrix that counts as positive.
 _MIN_EIGENVALUE: Final = 1e-9
@@ -39,11 +39,11 @@ def read_correlations(
     considered: Symbols of the considered terms, [model] hold.
     """
     if not isinstance(entries, list):
-        problems.add(_PATH, 'must be a list such as [["K_OO", "K_PP", 0.4]]', "wrong-type")
+        problems.add(_KEY_PATH, 'must be a list such as [["K_OO", "K_PP", 0.4]]', "wrong-type")
         return {}
     correlations: dict[str, dict[str, float]] = {}
     for index, entry in enumerate(entries):
-        path = (*_PATH, index)
+        path = (*_KEY_PATH, index)
         try:
             pairs, r = _read_entry(entry, priors)
             for pair in pairs:
@@ -67,7 +67,7 @@ def read_correlations(
             if second not in members[:position]
         )
         problems.add(
-            _PATH,
+            _KEY_PATH,
             f"no joint distribution can have these correlations: {names}. Their matrix is not "
             "positive definite; reduce a correlation, or check its sign",
             "invalid-correlation",

@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from counterspin.campaign.specification import Specifications
 
 #: The functions that change a campaign and write it as a folder.
-CHANGE: Final = "counterspin.campaign.memory:change_campaign"
-WRITE: Final = "counterspin.campaign.memory:write_campaign"
+CHANGE_FUNCTION: Final = "counterspin.campaign.memory:change_campaign"
+WRITE_FUNCTION: Final = "counterspin.campaign.memory:write_campaign"
 
 
 @frozen
@@ -208,8 +208,8 @@ class Campaign:
 
     def typical_of(self, symbol: str, owner: str = "") -> float:
         """Return the default standard uncertainty of a term; parameters as in `limit_of`."""
-        typical = self.model.typical
-        stated_typical = typical.get(symbol) or typical.get(shared_symbol(symbol))
+        typical_sizes = self.model.typical
+        stated_typical = typical_sizes.get(symbol) or typical_sizes.get(shared_symbol(symbol))
         return stated_typical or self._grade_size(symbol, owner).typical
 
     def _grade_size(self, symbol: str, owner: str) -> Size:
@@ -248,7 +248,7 @@ class Campaign:
         CampaignError
             With every mistake, as for a file.
         """
-        document, frames = load_name(CHANGE)(self, patch, records or {})
+        document, frames = load_name(CHANGE_FUNCTION)(self, patch, records or {})
         source = replace(require_source(self), document=document)
         return Campaign.of(source, self.folder, {**self.frames, **frames})
 
@@ -272,7 +272,7 @@ class Campaign:
         CounterspinError
             If a file already exists or cannot be written, or a record is missing.
         """
-        description_path: Path = load_name(WRITE)(self, folder, overwrite=overwrite)
+        description_path: Path = load_name(WRITE_FUNCTION)(self, folder, overwrite=overwrite)
         return description_path
 
     @property

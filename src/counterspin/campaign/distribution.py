@@ -62,10 +62,10 @@ def parse_prior(raw: object, unit: str, *, gravity: float | None) -> Quantity:
         raise InputError(f"has {', '.join(map(str, raw))}; {_ADVICE}", "conflicting-keys")
 
     def parse_exact_key(key: str) -> float:
-        parsed = parse_quantity(raw[key], unit, gravity=gravity)
-        if parsed.u != 0.0:
+        quantity = parse_quantity(raw[key], unit, gravity=gravity)
+        if quantity.u != 0.0:
             raise InputError(f"{key} must not have an uncertainty (±)", "wrong-uncertainty")
-        return parsed.value
+        return quantity.value
 
     def parse_positive_key(key: str) -> float:
         if (number := parse_exact_key(key)) <= 0.0:

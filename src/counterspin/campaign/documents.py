@@ -93,13 +93,13 @@ def flatten_keys(
 
     is_value: Predicate for tables that are values and stay unflattened.
     """
-    flat: dict[str, Any] = {}
+    flat_table: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, Mapping) and not is_value(value):
-            flat |= flatten_keys(value, f"{prefix}{key}.", is_value)
+            flat_table |= flatten_keys(value, f"{prefix}{key}.", is_value)
         else:
-            flat[prefix + key] = value
-    return flat
+            flat_table[prefix + key] = value
+    return flat_table
 
 
 def table_of(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -228,11 +228,11 @@ def find_invalid_values(value: Any, path: str) -> Iterator[str]:
     if len(path) > _MAX_PATH_CHARACTERS:
         yield f"{path}: the path of a key may have at most {_MAX_PATH_CHARACTERS} characters"
     elif isinstance(value, dict):
-        for key, inner in value.items():
-            yield from find_invalid_values(inner, f"{path}.{key}" if path else key)
+        for key, inner_value in value.items():
+            yield from find_invalid_values(inner_value, f"{path}.{key}" if path else key)
     elif isinstance(value, list):
-        for index, inner in enumerate(value):
-            yield from find_invalid_values(inner, f"{path}[{index}]")
+        for index, inner_value in enumerate(value):
+            yield from find_invalid_values(inner_value, f"{path}[{index}]")
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
         yield f"{path}: an integer may have at most 64 bits"
     if isinstance(value, str) and "\0" in value:
@@ -273,21 +273,21 @@ def key_lines(text: str) -> dict[str, int]:
     table_counts: dict[KeyPath, int] = {}
     table: KeyPath = ()
     depth, open_quotes = 0, ""
-    for number, line in enumerate(text.splitlines(), 1):
+    for line_number, line in enumerate(text.splitlines(), 1):
         if open_quotes:  # within a multi-line string
             open_quotes = "" if line.count(open_quotes) % 2 else open_quotes
             continue
         header = _HEADER.fullmatch(line) if depth == 0 else None
         if header is not None:
             table = _open_table(header, table_counts)
-            lines_by_key.setdefault(_unquoted_path(table), number)
+            lines_by_key.setdefault(_unquoted_path(table), line_number)
             continue
         key = _KEY.match(line) if depth == 0 else None
         if key is not None:
             path = table
             for key_part in _split_key(key[1]):
                 path = (*path, key_part)
-                lines_by_key.setdefault(_unquoted_path(path), number)
+                lines_by_key.setdefault(_unquoted_path(path), line_number)
         open_quotes = next(
             (delimiter for delimiter in ('"""', "'''") if line.count(delimiter) % 2), ""
         )
@@ -359,11 +359,11 @@ def merge_patch(document: Mapping[str, Any], patch: Mapping[str, Any]) -> dict[s
     """
     merged = dict(document)
     for key, value in patch.items():
-        existing = merged.get(key)
+        old_value = merged.get(key)
         if value is None:
             merged.pop(key, None)
         elif isinstance(value, Mapping):
-            merged[key] = merge_patch(existing if isinstance(existing, Mapping) else {}, value)
+            merged[key] = merge_patch(old_value if isinstance(old_value, Mapping) else {}, value)
         else:
             merged[key] = value
     return merged

@@ -107,10 +107,10 @@ def _validate_exact(
 def _validate_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
     if text == ESTIMATE:
         return ESTIMATE
-    deviation = parse_exact(text, unit, _context_gravity(info))
-    if deviation < 0.0:
+    level = parse_exact(text, unit, _context_gravity(info))
+    if level < 0.0:
         raise OutOfRangeError('a standard deviation cannot be negative; give a value or "estimate"')
-    return deviation
+    return level
 
 
 def _validate_coefficient(unit: str, text: object, info: ValidationInfo) -> float:
@@ -126,9 +126,9 @@ def _validate_coefficient(unit: str, text: object, info: ValidationInfo) -> floa
 
 def _quantity_pattern(unit: str, *, has_uncertainty: bool = False) -> Any:
     """Return a text type with the pattern of a quantity in a unit, for schemas."""
-    uncertainty = rf"({PLUS_MINUS}{NUMBER})?" if has_uncertainty else ""
-    number = f"[+−-]?{NUMBER.removeprefix('[+-]?')}"
-    pattern = rf"^\s*{number}{uncertainty}(\s+[^\s±]|[^\d\s.±]).*$"
+    uncertainty_pattern = rf"({PLUS_MINUS}{NUMBER})?" if has_uncertainty else ""
+    number_pattern = f"[+−-]?{NUMBER.removeprefix('[+-]?')}"
+    pattern = rf"^\s*{number_pattern}{uncertainty_pattern}(\s+[^\s±]|[^\d\s.±]).*$"
     return Annotated[str, Field(pattern=pattern, json_schema_extra={"x-unit": unit})]
 
 
@@ -398,8 +398,8 @@ def parse_uncertain_temperature(text: str) -> Quantity:
     match = _UNCERTAIN_TEMPERATURE.fullmatch(text)
     if match is None:
         raise ValueError(f'{text!r} is not a temperature; write "23.4 ± 0.5 degC" or "296.5 K"')
-    parsed = parse_quantity(f"{match[1]} 1", "1")
-    return Quantity(_to_kelvin(parsed.value, match[2]), parsed.u, "K")
+    quantity = parse_quantity(f"{match[1]} 1", "1")
+    return Quantity(_to_kelvin(quantity.value, match[2]), quantity.u, "K")
 
 
 def format_date(value: object) -> str:

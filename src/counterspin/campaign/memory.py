@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 #: Name of the record at rest among the records of runs: its key in the description.
-STATIC_RECORD: Final = "noise.from"
+STATIC_RECORD_KEY: Final = "noise.from"
 
 #: Function that inserts a table of readings from a data frame.
 _INSERT_READINGS: Final = "counterspin.readings.table:insert_readings"
@@ -172,7 +172,7 @@ def attach_records(
 ) -> dict[Path, MemoryTable]:
     """Put records into a document's runs; return those in memory by the file that each replaces.
 
-    records: Name of a run -> data frame or file; `STATIC_RECORD` -> record at rest.
+    records: Name of a run -> data frame or file; `STATIC_RECORD_KEY` -> record at rest.
     folder: Folder of the document's files.
     """
     runs = list(list_of(document, "runs"))
@@ -181,7 +181,7 @@ def attach_records(
     }
     tables: dict[Path, MemoryTable] = {}
     for name, record in records.items():
-        if name == STATIC_RECORD:
+        if name == STATIC_RECORD_KEY:
             tables |= _attach_static_record(document, record, folder)
             continue
         if name not in index_by_name:
@@ -250,25 +250,25 @@ def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = 
     source = require_source(campaign)
     folder = Path(folder)
     document = dict(source.document)
-    files = _RelocatedFiles(campaign, folder)
-    document["runs"] = [files.relocate_run(run) for run in document.get("runs", ())]
+    relocated_files = _RelocatedFiles(campaign, folder)
+    document["runs"] = [relocated_files.relocate_run(run) for run in document.get("runs", ())]
     if not document["runs"]:
         del document["runs"]
     for table in campaign.tables:
         if table.is_relative_to(campaign.folder):
-            files.targets.setdefault(folder / table.relative_to(campaign.folder), table)
+            relocated_files.targets.setdefault(folder / table.relative_to(campaign.folder), table)
     if campaign.rest is not None:
         noise = document["noise"]
-        document["noise"] = {**noise, "from": files.target_name(noise["from"], "rest")}
+        document["noise"] = {**noise, "from": relocated_files.target_name(noise["from"], "rest")}
     description = folder / DESCRIPTION_NAME
-    _refuse_overwriting([description, *files.targets], campaign, overwrite=overwrite)
-    for target, record in files.targets.items():
+    _refuse_overwriting([description, *relocated_files.targets], campaign, overwrite=overwrite)
+    for target, record in relocated_files.targets.items():
         make_folder(target.parent)
         if isinstance(record, MemoryTable) or not (target.exists() and target.samefile(record)):
             copy_record(record, target, overwrite=overwrite)
     make_folder(folder)
-    unchanged = not source.in_memory and document == source.document
-    if unchanged and source.file is not None:
+    is_unchanged = not source.in_memory and document == source.document
+    if is_unchanged and source.file is not None:
         if not (description.exists() and description.samefile(source.file)):
             write_atomically(
                 description, partial(shutil.copyfile, source.file), overwrite=overwrite
@@ -307,15 +307,15 @@ class _RelocatedFiles:
         if "record" not in run:
             return run
         # An excluded run may lack a name.
-        name, relocated = str(run.get("name", "run")), dict(run)
-        relocated["record"] = self.target_name(run["record"], name)
+        name, relocated_run = str(run.get("name", "run")), dict(run)
+        relocated_run["record"] = self.target_name(run["record"], name)
         if "continued_in" in run:
-            relocated["continued_in"] = [
+            relocated_run["continued_in"] = [
                 self.target_name(file, name) for file in run["continued_in"]
             ]
         if "pulses" in run:
-            relocated["pulses"] = self.target_name(run["pulses"], name)
-        return relocated
+            relocated_run["pulses"] = self.target_name(run["pulses"], name)
+        return relocated_run
 
 
 def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: bool) -> None:

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Final
 
 from counterspin.arrays import Array
-from counterspin.campaign.correlations import CORRELATION, read_correlations
+from counterspin.campaign.correlations import CORRELATION_KEY, read_correlations
 from counterspin.campaign.distribution import is_prior_table, parse_prior
 from counterspin.campaign.documents import KeyPath, flatten_keys
 from counterspin.campaign.field_types import parse_exact
@@ -17,7 +17,7 @@ from counterspin.campaign.reading import Reading
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
 from counterspin.campaign.terms import (
     BARE_NAMES,
-    POSITION,
+    POSITION_SYMBOL,
     acting_rows,
     expand_name,
     is_reading_term,
@@ -45,7 +45,7 @@ from counterspin.physics.terms import (
 #: and for readings on a machine.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
 _TERMS_AT_REST: Final = ("K_F", "K_I")
-TERMS_ON_A_MACHINE: Final = (*_TERMS_AT_REST, "K_II")
+MACHINE_TERMS: Final = (*_TERMS_AT_REST, "K_II")
 
 #: Value of ``assume`` for all terms without a stated prior.
 ALL_TERMS: Final = "all"
@@ -136,7 +136,7 @@ class MeasurementSetup:
         motions = {reading.motion for reading in self.readings}
         if not self.has_readings or self.attitudes or "counter-rotating" in motions:
             return DEFAULT_TERMS
-        terms = _TERMS_AT_REST if motions <= {"static"} else TERMS_ON_A_MACHINE
+        terms = _TERMS_AT_REST if motions <= {"static"} else MACHINE_TERMS
         if self.pose_count >= _MIN_POSES_FOR_ANGLES:
             return (*terms, "delta_O", "delta_P")
         return (*terms, *self._misalignments(len(terms)))
@@ -148,12 +148,10 @@ class MeasurementSetup:
         """
         symbols: list[str] = []
         for symbol, axis in (("delta_O", 1), ("delta_P", 2)):
-            at_rest = (
-                at_rest_reading
-                for at_rest_reading in self.readings
-                if at_rest_reading.motion == "static"
-            )
-            vertical_components = {round(reading.axes.matrix[axis][2], 6) for reading in at_rest}
+            rest_readings = (reading for reading in self.readings if reading.motion == "static")
+            vertical_components = {
+                round(reading.axes.matrix[axis][2], 6) for reading in rest_readings
+            }
             if len(vertical_components) > 1 and len(self.readings) > term_count + len(symbols) + 1:
                 symbols.append(symbol)
         return symbols
@@ -165,7 +163,9 @@ class MeasurementSetup:
             includes that of the centrifuge.
         """
         priors = (
-            dict.fromkeys(expand_name(POSITION, self.observable_terms), self.positioning_error)
+            dict.fromkeys(
+                expand_name(POSITION_SYMBOL, self.observable_terms), self.positioning_error
+            )
             if self.positioning_error
             else {}
         )
@@ -184,8 +184,8 @@ class MeasurementSetup:
                 for symbol in self.observable_terms
                 if symbol.startswith("centrifuge.radius.") and symbol in set(requested)
             ]
-            deviation = replace(centrifuge.radius, value=0.0)
-            priors |= dict.fromkeys(radius_symbols, deviation)
+            radius_deviation = replace(centrifuge.radius, value=0.0)
+            priors |= dict.fromkeys(radius_symbols, radius_deviation)
         return priors
 
 
@@ -243,7 +243,7 @@ def resolve_model(
             problems.add(("model",), f"{message}; keep one")
             break
     correlations = read_correlations(
-        settings.priors.get(CORRELATION, []),
+        settings.priors.get(CORRELATION_KEY, []),
         accelerometer_priors,
         considered,
         problems,
@@ -340,14 +340,14 @@ def _observable_symbols(
     name: str, path: KeyPath, setup: MeasurementSetup, problems: Problems
 ) -> tuple[str, ...]:
     """Expand a name of machine terms or slopes to the terms that affect the readings."""
-    expanded = expand_name(name, setup.observable_terms)
-    if not expanded and setup.is_complete:
+    expanded_symbols = expand_name(name, setup.observable_terms)
+    if not expanded_symbols and setup.is_complete:
         problems.add(
             path,
             f'no reading depends on "{name}"' + suggest_name(name, setup.observable_terms),
             "term-without-effect",
         )
-    return expanded if name in expanded else _remove_duplicates(expanded)
+    return expanded_symbols if name in expanded_symbols else _remove_duplicates(expanded_symbols)
 
 
 def _remove_duplicates(symbols: Sequence[str]) -> tuple[str, ...]:
@@ -355,12 +355,14 @@ def _remove_duplicates(symbols: Sequence[str]) -> tuple[str, ...]:
 
     With several accelerometers each has a radius; with one, the mounting has it.
     """
-    has_several = len({owner for symbol in symbols if (owner := accelerometer_name(symbol))}) > 1
+    has_several_owners = (
+        len({owner for symbol in symbols if (owner := accelerometer_name(symbol))}) > 1
+    )
     bare_symbols = {shared_symbol(symbol) for symbol in symbols if accelerometer_name(symbol)}
     return tuple(
         symbol
         for symbol in symbols
-        if not (symbol in bare_symbols if has_several else accelerometer_name(symbol))
+        if not (symbol in bare_symbols if has_several_owners else accelerometer_name(symbol))
     )
 
 
@@ -372,7 +374,7 @@ def _report_unknown_term(name: str, path: KeyPath, problems: Problems) -> None:
     problems.add(path, f'unknown term "{name}"' + hint, "unknown-term")
 
 
-def _general_first(names: Iterable[str]) -> list[str]:
+def _sort_general_first(names: Iterable[str]) -> list[str]:
     """Sort names from general to specific, so that specific ones take precedence."""
     return sorted(names, key=lambda name: name.count("."))
 
@@ -388,7 +390,7 @@ def _resolve_priors(
     shared_priors: dict[str, Quantity] = {}
     own_priors = {name: dict(priors) for name, priors in stated_priors.items()}
     prior_by_key = flatten_keys(raw, is_value=is_prior_table)
-    for key in _general_first(key for key in prior_by_key if key != CORRELATION):
+    for key in _sort_general_first(key for key in prior_by_key if key != CORRELATION_KEY):
         path = ("model", "priors", key)
         owner, _, own_symbol = key.partition(".")
         owners: Sequence[str] = ()
@@ -418,7 +420,7 @@ def _resolve_priors(
         problems.collect(path, check_near_nominal, symbols[0], prior, widest_grade)
         if is_from_readings or symbols[0] not in ACCELEROMETER_TERMS:
             shared_priors |= {
-                symbol: as_deviation(symbol, prior, setup.centrifuge) for symbol in symbols
+                symbol: to_deviation(symbol, prior, setup.centrifuge) for symbol in symbols
             }
         for name in owners:
             if own_symbol in stated_priors[name]:
@@ -431,7 +433,7 @@ def _resolve_priors(
     return shared_priors, own_priors
 
 
-def as_deviation(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:
+def to_deviation(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:
     """Return a prior as a deviation: a radius may be stated as a value or as a deviation."""
     if not symbol.startswith("centrifuge.radius.") or centrifuge is None:
         return prior
@@ -476,7 +478,7 @@ def _resolve_sizes(
     """Return the stated largest credible magnitudes (``limits``) or ``typical`` ones."""
     sizes: dict[str, float] = {}
     values_by_key = flatten_keys(raw)
-    for key in _general_first(values_by_key):
+    for key in _sort_general_first(values_by_key):
         path = ("model", section_key, key)
         symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]
         if not is_term(symbols[0]):

@@ -168,28 +168,28 @@ def parse_quantity(
             f"a quantity may have at most {_MAX_CHARACTERS} characters, but this text has "
             f"{len(text)}"
         )
-    normalized = text.strip().replace("−", "-")
-    if _NOT_FINITE.search(normalized):
+    normalized_text = text.strip().replace("−", "-")
+    if _NOT_FINITE.search(normalized_text):
         raise OutOfRangeError(
             f"{text!r} is not a finite number; {description} is required ({accepted_units})"
         )
-    if BARE_NUMBER.fullmatch(normalized):
-        example = _suggest_unit(normalized, unit, likely_unit)
+    if BARE_NUMBER.fullmatch(normalized_text):
+        example = _suggest_unit(normalized_text, unit, likely_unit)
         raise InputError(
             f"{text!r} has no unit; {description} is required ({accepted_units}); write {example}",
             "missing-unit",
         )
-    if re.match(r"[+-]?\d+,\d", normalized):
+    if re.match(r"[+-]?\d+,\d", normalized_text):
         raise ValueError(f"{text!r} contains a comma; use a decimal point")
-    match = _QUANTITY.fullmatch(normalized)
+    match = _QUANTITY.fullmatch(normalized_text)
     if match is None:
         raise ValueError(
             f'{text!r} is not a quantity; write "VALUE UNIT" or "VALUE ± U UNIT" '
             f"({description}: {accepted_units})"
         )
-    repeated_unit = _REPEATED_UNIT.fullmatch(match[3])
-    if match[2] is None and repeated_unit is not None:
-        raise ValueError(f"{text!r} {_suggest_single_unit(match[1], repeated_unit, gravity)}")
+    unit_match = _REPEATED_UNIT.fullmatch(match[3])
+    if match[2] is None and unit_match is not None:
+        raise ValueError(f"{text!r} {_suggest_single_unit(match[1], unit_match, gravity)}")
     quantity = Quantity(float(match[1]), float(match[2] or 0.0), match[3])
     return _convert(quantity, unit, text, gravity)
 
@@ -257,9 +257,9 @@ def last_digit_step(quantity: str | Quantity) -> str:
     return f"1e{int(match[2] or 0) - len(match[1])}{normalized[match.end() :]}"
 
 
-def _suggest_single_unit(value: str, repeated_unit: re.Match[str], gravity: float | None) -> str:
+def _suggest_single_unit(value: str, unit_match: re.Match[str], gravity: float | None) -> str:
     """Suggest the text of ``VALUE UNIT ± U UNIT`` with one unit."""
-    unit, u, u_unit = repeated_unit.groups()
+    unit, u, u_unit = unit_match.groups()
     try:
         converted_u = float(u) * unit_factor(u_unit or unit, unit, gravity=gravity)
         example = f'"{value} ± {converted_u:.12g} {unit}"'

@@ -116,7 +116,7 @@ def _question_own_velocity(campaign: Campaign) -> Iterator[Question]:
         return
     no_times = np.empty(0)
     coriolis_matrix = coriolis(campaign.site)
-    max_coupling: dict[str, float] = {}
+    couplings: dict[str, float] = {}
     for run in campaign.runs:
         axes = {
             name: AxisError(
@@ -127,21 +127,21 @@ def _question_own_velocity(campaign: Campaign) -> Iterator[Question]:
             )
             for name, accelerometer in campaign.accelerometers.items()
         }
-        unobserved = unobserved_projection(list(axes.values()))
+        projection = unobserved_projection(list(axes.values()))
         for name, axis_error in axes.items():
             if axis_error.observable in NAVIGATION_OBSERVABLES:
                 coupling = float(
-                    np.linalg.norm(axis_error.input_axis @ coriolis_matrix @ unobserved)
+                    np.linalg.norm(axis_error.input_axis @ coriolis_matrix @ projection)
                 )
-                max_coupling[name] = max(coupling, max_coupling.get(name, 0.0))
-    if not max_coupling:
+                couplings[name] = max(coupling, couplings.get(name, 0.0))
+    if not couplings:
         yield Question(
             code="unrecorded-axis",
             subject="records.reference",
             text='reference = "own velocity" has no effect here: no Coriolis acceleration is '
             "removed from a specific force. Omit this key, or record displacement or velocity.",
         )
-    for name, coupling in max_coupling.items():
+    for name, coupling in couplings.items():
         if coupling > _MIN_CORIOLIS_COUPLING:
             # The best parabola through a t^3 over a duration T has the coefficient 3/2 a T.
             bias_shift = 1e-3 * coupling * 100.0 / 2.0

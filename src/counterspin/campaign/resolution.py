@@ -197,8 +197,8 @@ class DescriptionReader:
         )
         recording = records.recording if records else NO_RECORDING
         own_priors = self.accelerometers.own_priors
-        described = self._read_readings(revolutions, has_records=bool(resolved_runs))
-        readings = sections["valid_readings"] = described.readings
+        described_readings = self._read_readings(revolutions, has_records=bool(resolved_runs))
+        readings = sections["valid_readings"] = described_readings.readings
         priors = own_priors
         if settings is not None:
             setup = MeasurementSetup(
@@ -206,10 +206,10 @@ class DescriptionReader:
                 self.accelerometers.grades,
                 [run.attitude for run in resolved_runs.values()],
                 readings,
-                described.triad.count if described.triad else 0,
+                described_readings.triad.count if described_readings.triad else 0,
                 centrifuge,
                 fixture.position,
-                described.is_complete,
+                described_readings.is_complete,
             )
             sections["model"], priors = resolve_model(
                 settings, own_priors, setup, problems, gravity
@@ -220,7 +220,9 @@ class DescriptionReader:
                 if (run.recording or recording).temperature
             }
         simulation = self._resolve_simulation(
-            resolved_runs, readings if described.is_complete else None, described.truths
+            resolved_runs,
+            readings if described_readings.is_complete else None,
+            described_readings.truths,
         )
         specifications = self._resolve_specifications()
         cutoff = records.cutoff_frequency if records else None
@@ -261,9 +263,9 @@ class DescriptionReader:
             specifications=specifications,
             readings=readings,
             reference_temperature=centrifuge.reference_temperature if centrifuge else None,
-            tables=(*described.files, *responses.checksums),
-            table_checksums={**described.checksums, **responses.checksums},
-            triad=described.triad,
+            tables=(*described_readings.files, *responses.checksums),
+            table_checksums={**described_readings.checksums, **responses.checksums},
+            triad=described_readings.triad,
         )
 
     def _read_readings(self, revolutions: float | None, *, has_records: bool) -> DescribedReadings:
@@ -285,10 +287,10 @@ class DescriptionReader:
         """Return the accelerometer tables, with default axes for a triad that states none."""
         if "triad" not in self.raw or not is_installed(_TRIAD):
             return tables
-        completed: Mapping[str, Any] = load_name(f"{_TRIAD_SECTION}:apply_default_axes")(
+        completed_tables: Mapping[str, Any] = load_name(f"{_TRIAD_SECTION}:apply_default_axes")(
             tables, self.raw["triad"]
         )
-        return completed
+        return completed_tables
 
     def _resolve_simulation(
         self,

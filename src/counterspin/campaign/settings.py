@@ -225,26 +225,26 @@ class Output(SettingsSection):
 
 
 def term_keys(
-    rows: Mapping[str, Term[Any]], validator_of: Callable[[str], PlainValidator]
+    rows: Mapping[str, Term[Any]], make_validator: Callable[[str], PlainValidator]
 ) -> dict[str, Any]:
     """Return an optional field for each term name, which validates a quantity in its unit."""
     # Types are expensive to create, and dozens of terms share a few units.
     type_by_unit = {
-        unit: Annotated[Quantity | float, validator_of(unit)] | None
+        unit: Annotated[Quantity | float, make_validator(unit)] | None
         for unit in dict.fromkeys(row.unit for row in rows.values())
     }
     return {
         name: (
             type_by_unit[row.unit],
-            key_field(row.words, _format_example(row, validator_of), None),
+            key_field(row.words, _format_example(row, make_validator), None),
         )
         for name, row in rows.items()
     }
 
 
-def _format_example(row: Term[Any], validator_of: Callable[[str], PlainValidator]) -> str:
+def _format_example(row: Term[Any], make_validator: Callable[[str], PlainValidator]) -> str:
     """Return an example for a term: its prior, or its true value."""
-    if validator_of is uncertain_quantity:
+    if make_validator is uncertain_quantity:
         return f"{row.nominal:g} ± {row.typical:g} {row.unit}".replace("e-0", "e-")
     return f"{row.nominal + row.typical:.9g} {row.unit}".replace("e-0", "e-")
 

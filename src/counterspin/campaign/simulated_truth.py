@@ -21,7 +21,7 @@ from counterspin.campaign.field_types import (
     key_field,
     parse_exact,
 )
-from counterspin.campaign.model import as_deviation
+from counterspin.campaign.model import to_deviation
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run
@@ -179,20 +179,20 @@ class TruthReader:
         if common_spindle is None or None in shared_tables.values() or run_settings is None:
             return None
 
-        def first_stated(key: str, default: Any) -> Any:
+        def find_stated(key: str, default: Any) -> Any:
             values = (getattr(run_settings, key), getattr(common_spindle, key), default)
             return next(value for value in values if value is not None)
 
-        true_rate = rate * (1.0 + first_stated("rate_error", 0.0))
+        true_rate = rate * (1.0 + find_stated("rate_error", 0.0))
         ripple_path: KeyPath = (
             (*path, "ripple") if run_settings.ripple is not None else ("truth", "spindle")
         )
         ripples = tuple(
             _resolve_ripple(entry, true_rate, ripple_path, self.problems)
-            for entry in first_stated("ripple", ())
+            for entry in find_stated("ripple", ())
         )
         spindle = Spindle(
-            true_rate, first_stated("drift", 0.0), ripples, first_stated("start_angle", 0.0)
+            true_rate, find_stated("drift", 0.0), ripples, find_stated("start_angle", 0.0)
         )
         values: dict[str, float] = {}
         for symbol, row in SHARED_TERMS.items():
@@ -209,7 +209,7 @@ class TruthReader:
         sampling: Simulation,
         outputs: Mapping[str, Output | None],
         noise: StatedNoise | None,
-        described: DescribedRuns,
+        described_runs: DescribedRuns,
         centrifuge: CentrifugeSettings | None,
         recorders: Mapping[str, str],
     ) -> Simulation:
@@ -233,13 +233,13 @@ class TruthReader:
         }
         truth_by_run = {
             run.name: self._resolve_run(run.rate, run.truth, ("runs", index, "truth"))
-            for index, run in described.runs.items()
+            for index, run in described_runs.runs.items()
         }
         truth_by_reading = {
             (reading.name, reading.rate): self._resolve_run(
-                reading.rate, *described.truth_of(reading)
+                reading.rate, *described_runs.truth_of(reading)
             )
-            for reading in described.readings or ()
+            for reading in described_runs.readings or ()
             if reading.rate
         }
         truth = SimulatedTruth(
@@ -256,7 +256,7 @@ class TruthReader:
                 if run_truth is not None
             },
             inputs=true_inputs(self.tables, recorders, self.problems) | _true_responses(tables),
-            machine=self._resolve_machine(described.readings, centrifuge),
+            machine=self._resolve_machine(described_runs.readings, centrifuge),
             reading_noise=self._resolve_reading_noise(outputs),
         )
         return sampling.replace_private(truth=truth)
@@ -304,7 +304,7 @@ class TruthReader:
                 unit = term(symbol).unit
                 value = self.problems.collect(path, parse_exact, text, unit)
                 if value is not None:
-                    deviation = as_deviation(symbol, Quantity(value, 0.0, unit), centrifuge)
+                    deviation = to_deviation(symbol, Quantity(value, 0.0, unit), centrifuge)
                     deviations[symbol] = deviation.value
         for symbol in known_symbols:
             family, *keys = symbol.split(".")

@@ -78,11 +78,11 @@ def complete_noise_sizes(campaign: Campaign, noise: NoiseSettings) -> dict[str, 
 
     If the accelerometers differ, the largest value counts: a simulation and a plan have one noise.
     """
-    resolved = resolve_noise(replace(campaign, noise=noise), 0.0)
+    noise_by_name = resolve_noise(replace(campaign, noise=noise), 0.0)
     sizes = _noise_sizes(noise)
     for name, accelerometer in campaign.accelerometers.items():
         for key in set(size_keys(accelerometer.observable).values()) - noise.model_fields_set:
-            sizes[key] = max(sizes[key], getattr(resolved[name].sizes, key))
+            sizes[key] = max(sizes[key], getattr(noise_by_name[name].sizes, key))
     return sizes
 
 

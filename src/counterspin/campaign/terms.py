@@ -35,9 +35,9 @@ from counterspin.physics.terms import (
 def _group_by_bare_name() -> dict[str, tuple[Term[AttitudeError | TrajectoryError], ...]]:
     names: dict[str, list[Term[AttitudeError | TrajectoryError]]] = {}
     for symbol, row in SHARED_TERMS.items():
-        parts = symbol.split(".")
-        for length in range(2, len(parts)):
-            names.setdefault(".".join(parts[:length]), []).append(row)
+        symbol_parts = symbol.split(".")
+        for n_parts in range(2, len(symbol_parts)):
+            names.setdefault(".".join(symbol_parts[:n_parts]), []).append(row)
     return {name: tuple(rows) for name, rows in names.items()}
 
 
@@ -60,7 +60,7 @@ _AXES: Final = {
 }
 
 #: Prefix of the positioning errors of all positions.
-POSITION: Final = "fixture.position"
+POSITION_SYMBOL: Final = "fixture.position"
 
 
 def acting_rows(

@@ -206,7 +206,7 @@ _FAMILY_FIELDS: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
 
 
 def _make_truth_table(
-    name: str, family: str, base: type[SettingsSection] = SettingsSection
+    name: str, family: str, base_class: type[SettingsSection] = SettingsSection
 ) -> type[SettingsSection]:
     """Create a table with a key for each term of a family; nested tables for names with dots."""
     row_by_key = {
@@ -222,7 +222,7 @@ def _make_truth_table(
         table = _make_truth_table(f"{name}_{nested_key}", f"{family}.{nested_key}")
         fields[nested_key] = (table | None, key_field(description, example, None))
     description = f"[truth.{family}]: true values of the terms."
-    return create_model(name, __base__=base, __doc__=description, **fields)
+    return create_model(name, __base__=base_class, __doc__=description, **fields)
 
 
 #: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.

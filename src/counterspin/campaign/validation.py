@@ -183,18 +183,18 @@ class Problems:
 
 def _format_error(mistake: Any, path: KeyPath, model: type[BaseModel]) -> str:
     """Return the message of a pydantic error in plain words."""
-    kind, context = mistake["type"], mistake.get("ctx", {})
-    if kind == "extra_forbidden":
+    error_type, context = mistake["type"], mistake.get("ctx", {})
+    if error_type == "extra_forbidden":
         return "unknown key" + suggest_name(str(path[-1]), _known_keys(model, path[:-1]))
-    if kind == "literal_error" and path[-1] != "schema":
+    if error_type == "literal_error" and path[-1] != "schema":
         return f"{str(mistake['input'])!r} is not one of {context['expected']}"
-    if kind == "value_error":
+    if error_type == "value_error":
         return str(context["error"])
-    if kind == "too_short" and context["min_length"] > 1:
+    if error_type == "too_short" and context["min_length"] > 1:
         return f"must have at least {context['min_length']} entries"
-    if kind == "too_long":
+    if error_type == "too_long":
         return f"must have at most {context['max_length']} entries"
-    message: str = _PLAIN_MESSAGES.get(kind, "{}").format(mistake["msg"], **context)
+    message: str = _PLAIN_MESSAGES.get(error_type, "{}").format(mistake["msg"], **context)
     return message
 
 
@@ -251,10 +251,12 @@ def _deduplicate(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
             {**mistake, "loc": error_path[:type_index] + error_path[type_index + 1 :]}
         )
     for path, errors in errors_by_path.items():
-        nested = [error for error in errors if error["loc"] != path]
-        candidates = nested or [error for error in errors if not error["type"].endswith("_type")]
-        if nested:
-            yield from _deduplicate(nested)
+        nested_errors = [error for error in errors if error["loc"] != path]
+        candidates = nested_errors or [
+            error for error in errors if not error["type"].endswith("_type")
+        ]
+        if nested_errors:
+            yield from _deduplicate(nested_errors)
         elif candidates or len(errors) == 1:
             yield path, (candidates or errors)[0]
         else:

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.campaign.model import TERMS_ON_A_MACHINE
+from counterspin.campaign.model import MACHINE_TERMS
 from counterspin.campaign.quantity import parse_quantity
 from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
@@ -129,7 +129,7 @@ def _make_radius_and_model(
         parse_quantity(text, "m").u > 0.0 for text in stated_radii
     ):
         # The position of the proof mass differs between mountings.
-        model["terms"] = [*TERMS_ON_A_MACHINE, "centrifuge.radius"]
+        model["terms"] = [*MACHINE_TERMS, "centrifuge.radius"]
     if radius_answers:
         model["priors"] = {
             f"centrifuge.radius.{mounting}": text for mounting, text in radius_answers.items()
@@ -219,9 +219,9 @@ def _make_questions(table: ArmTable, answers: Mapping[str, str]) -> Iterator[Fil
     contents, roles, readings = table.contents, table.roles, table.readings
     yield from make_site_questions(contents)
     yield from _make_radius_questions(table)
-    numbers = [column.name for column in contents.columns]
+    numeric_names = [column.name for column in contents.columns]
     text = "Which column contains the rate, the period of revolution or the acceleration?"
-    yield make_role_question("rate", text, numbers, roles, is_required=True)
+    yield make_role_question("rate", text, numeric_names, roles, is_required=True)
     if table.rate_column is not None:
         name = table.rate_column.name
         text = f"What is the unit of column '{name}' (a rate, a period or an acceleration)?"
@@ -232,7 +232,7 @@ def _make_questions(table: ArmTable, answers: Mapping[str, str]) -> Iterator[Fil
         yield FileQuestion("sense", text, SENSES[0], SENSES)
     text = "Which column contains the mounting of the accelerometer?"
     yield make_role_question(
-        "position", text, [*numbers, *contents.text_cells], roles, is_required=False
+        "position", text, [*numeric_names, *contents.text_cells], roles, is_required=False
     )
     axes = {
         mounting: answers.get(f"{mounting} axis") or _mounting_direction(table, mounting)

@@ -186,8 +186,8 @@ class ArmTable:
             Decimal(repr(magnitude)).normalize().as_tuple().exponent
             for magnitude in magnitudes.tolist()
         )
-        power = 1.0 if is_convertible(self.rate_unit, "m/s^2") else 2.0
-        return float(power * 10.0 ** min(map(int, exponents)) / magnitudes.min())
+        exponent = 1.0 if is_convertible(self.rate_unit, "m/s^2") else 2.0
+        return float(exponent * 10.0 ** min(map(int, exponents)) / magnitudes.min())
 
 
 def assign_arm_roles(contents: FileContents, answers: Mapping[str, str]) -> dict[str, str]:
@@ -198,7 +198,7 @@ def assign_arm_roles(contents: FileContents, answers: Mapping[str, str]) -> dict
     rate_columns += [
         column
         for column in contents.columns
-        if guess_common_role(column) == "time" and _decreases(column)
+        if guess_common_role(column) == "time" and _is_decreasing(column)
     ]
     direction_columns = [
         name for name, cells in contents.text_cells.items() if any(map(parse_direction, cells))
@@ -218,10 +218,10 @@ def assign_arm_roles(contents: FileContents, answers: Mapping[str, str]) -> dict
         "position": next(iter([*direction_columns, *named_columns, *numbered_columns]), None),
     }
     roles = assign_roles(contents, answers, _guess_role, unique_roles)
-    unassigned = [
+    unassigned_columns = [
         name for name in sense_columns if roles[name] in WORD_ROLES and f"{name} is" not in answers
     ]
-    return roles | dict.fromkeys(unassigned[:1], "sense")
+    return roles | dict.fromkeys(unassigned_columns[:1], "sense")
 
 
 def _rate_rank(column: FileColumn) -> tuple[bool, bool, bool]:
@@ -230,7 +230,7 @@ def _rate_rank(column: FileColumn) -> tuple[bool, bool, bool]:
     return bool(is_period), not is_measured, _guess_rate_unit(column) is None
 
 
-def _decreases(column: FileColumn) -> bool:
+def _is_decreasing(column: FileColumn) -> bool:
     """Return whether the numbers of a column decrease between two rows."""
     values = column.values[np.isfinite(column.values)]
     return not column.is_timestamp and bool(np.any(np.diff(values) < 0.0))

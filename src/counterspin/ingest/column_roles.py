@@ -215,9 +215,9 @@ def guess_file(
         )
         sampling_rate, uncounted_reason = _find_row_rate(contents, answers, shared_times)
         seconds = seconds / (sampling_rate or 1.0)
-    clocks = {column.name for column in (time_column, shared_times) if column}
+    time_names = {column.name for column in (time_column, shared_times) if column}
     other_columns = [
-        column for column in columns if column.name not in clocks and not column.is_timestamp
+        column for column in columns if column.name not in time_names and not column.is_timestamp
     ]
     candidates = [column for column in other_columns if len(column.values) == n_rows]
     frequencies = {
@@ -265,8 +265,8 @@ def guess_file(
         [column for column in columns if column.name not in used_names], answers
     )
     used_names |= {temperature[0]} if temperature else set()
-    unused = tuple(column.name for column in columns if column.name not in used_names)
-    unused = (*unused, *contents.text_columns, *contents.numbers)
+    unused_names = tuple(column.name for column in columns if column.name not in used_names)
+    unused_names = (*unused_names, *contents.text_columns, *contents.numbers)
     fields = (
         contents,
         time,
@@ -275,7 +275,7 @@ def guess_file(
         signals,
         rate,
         is_increasing,
-        unused,
+        unused_names,
         temperature,
         wave_rate,
     )
@@ -471,14 +471,14 @@ def explain_missing_time(contents: FileContents) -> str:
             reasons = (reason for reason in contents.unread_reasons if f"column '{name}'" in reason)
             return next(reasons, f"Column '{name}' cannot be read as a time: '{cell}'").rstrip(".")
     for column in contents.columns:
-        decreases = np.flatnonzero(np.diff(column.values) < 0.0)
+        drop_rows = np.flatnonzero(np.diff(column.values) < 0.0)
         reason = "most rows have the same value"
-        if decreases.size:
+        if drop_rows.size:
             reason = (
-                f"it decreases in row {decreases[0] + 2} (number of decreases: {decreases.size})"
+                f"it decreases in row {drop_rows[0] + 2} (number of decreases: {drop_rows.size})"
             )
         if _is_named_time(column.name) and (
-            decreases.size or not has_distinct_times(column.values)
+            drop_rows.size or not has_distinct_times(column.values)
         ):
             return f"Column '{column.name}' is not used as the time: {reason}"
     return "The file has no time column"

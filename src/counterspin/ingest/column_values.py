@@ -102,5 +102,5 @@ def round_counts(period: float) -> float | None:
     round_numbers = [2.0**n for n in range(8, 33)] + [
         digit * 10.0**n for n in range(2, 9) for digit in (1.0, 1.2, 1.8, 2.0, 2.5, 3.6, 4.0, 5.0)
     ]
-    nearest = min(round_numbers, key=lambda counts: abs(counts / period - 1.0))
-    return nearest if abs(nearest / period - 1.0) < 1e-3 else None
+    nearest_number = min(round_numbers, key=lambda counts: abs(counts / period - 1.0))
+    return nearest_number if abs(nearest_number / period - 1.0) < 1e-3 else None

@@ -91,8 +91,8 @@ class FileContents:
     @property
     def title(self) -> str:
         """The name of the file without extension, with the sheet or the group."""
-        part = self.sheet or self.group
-        return f"{self.path.stem} {part}" if part else self.path.stem
+        table_name = self.sheet or self.group
+        return f"{self.path.stem} {table_name}" if table_name else self.path.stem
 
     @property
     def dialect_keys(self) -> dict[str, Any]:

@@ -269,28 +269,30 @@ def _make_statements(
         turns = sorted(
             2.0 * math.pi / rate if is_counted else rate / (2.0 * math.pi) for rate in rates
         )
-        shown = f"{turns[0]:.6g}" + (f" to {turns[-1]:.6g}" if len(turns) > 1 else "")
-        yield f"rate: {shown} {'rows per revolution' if is_counted else 'rev/s'}"
+        turns_text = f"{turns[0]:.6g}" + (f" to {turns[-1]:.6g}" if len(turns) > 1 else "")
+        yield f"rate: {turns_text} {'rows per revolution' if is_counted else 'rev/s'}"
     if angle is None:
         yield "angle: no angle column was found, so counterspin uses the nominal rates"
     elif angle.pulses:
         yield f"angle: column '{angle.column}' contains pulse times, one pulse per revolution"
     else:
-        counts = f", {angle.per_revolution:.10g} per revolution" if angle.per_revolution else ""
+        counts_text = (
+            f", {angle.per_revolution:.10g} per revolution" if angle.per_revolution else ""
+        )
         source = (
             "from the unit in the file" if angle.has_file_unit else "from the column name or values"
         )
         unit = angle.unit or "an unknown unit"
-        yield f"angle: column '{angle.column}', in {unit}{counts} ({source})"
+        yield f"angle: column '{angle.column}', in {unit}{counts_text} ({source})"
     if sense is not None and angle is not None:
         yield f"sense: {sense}, determined from the phase difference between two axes"
     yield from common_guess.temperature_text
     for signal in common_guess.signals:
         quantity = (signal.observable or "a signal").replace("_", " ")
-        axis = f"along {signal.axis}" if signal.axis else "axis not detected"
+        axis_text = f"along {signal.axis}" if signal.axis else "axis not detected"
         unit = f" in {signal.unit}" if signal.unit else ""
         unit += " (determined from the radius)" if signal.is_unit_from_radius else ""
-        yield f"column '{signal.column}': {quantity}{unit}, {axis}"
+        yield f"column '{signal.column}': {quantity}{unit}, {axis_text}"
     if common_guess.signals:
         yield "pendulous axes: assumed down (north if the input axis points up)"
     if common_guess.unused_columns:
@@ -336,8 +338,8 @@ def _find_encoder_zero(common_guess: FileGuess, sense: str) -> str | None:
         axis = signal.axis
         if signal.phase is None or axis not in COMPASS_ANGLES:
             continue
-        derivatives = list(OBSERVABLES).index(signal.observable or "displacement")
-        phase = signal.phase - sense_sign * rate_sign * derivatives * math.pi / 2.0
+        derivative_order = list(OBSERVABLES).index(signal.observable or "displacement")
+        phase = signal.phase - sense_sign * rate_sign * derivative_order * math.pi / 2.0
         zero = sense_sign * phase + COMPASS_ANGLES[axis]
         for name, direction in COMPASS_ANGLES.items():
             if abs(math.remainder(zero - direction, 2.0 * math.pi)) < _COMPASS_TOLERANCE:
@@ -372,7 +374,7 @@ def _format_rate(guess: FileGuess, answers: Mapping[str, str], sense: str) -> st
     rate = guess.rate
     for unit, factor in (("rev/s", 2.0 * math.pi), ("deg/s", math.pi / 180.0), ("rad/s", 1.0)):
         value = rate / factor
-        rounded = float(np.format_float_positional(value, precision=3, fractional=False))
-        if abs(rounded / value - 1.0) < _ROUND_RATE_TOLERANCE:
-            return f"{sign * rounded:g} {unit}"
+        rounded_value = float(np.format_float_positional(value, precision=3, fractional=False))
+        if abs(rounded_value / value - 1.0) < _ROUND_RATE_TOLERANCE:
+            return f"{sign * rounded_value:g} {unit}"
     return f"{sign * rate:.8g} rad/s"

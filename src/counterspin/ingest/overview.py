@@ -58,8 +58,8 @@ def _describe_file(contents: FileContents) -> Iterator[str]:
         yield f"  {column.name}{unit}: {_describe_column(column, guess)}"
     for name in contents.text_columns[:_MAX_COLUMNS]:
         yield f"  {name}: {_describe_text_column(contents, name)}"
-    if n_more := len(contents.columns) + len(contents.text_columns) - 2 * _MAX_COLUMNS:
-        yield from [f"  and {n_more} more columns"] if n_more > 0 else []
+    if n_omitted := len(contents.columns) + len(contents.text_columns) - 2 * _MAX_COLUMNS:
+        yield from [f"  and {n_omitted} more columns"] if n_omitted > 0 else []
     if contents.numbers:
         numbers = (f"{name} = {value:.9g}" for name, value in contents.numbers.items())
         yield f"  scalar values: {', '.join(islice(numbers, _MAX_COLUMNS))}"
@@ -115,10 +115,8 @@ def _find_sampling_remarks(guess: FileGuess) -> Iterator[str]:
     median_step = median(steps[steps > 0.0]) if (steps > 0.0).any() else math.nan
     long_steps = steps[steps > 1.5 * median_step] / median_step
     n_missing = int(np.round(long_steps).sum() - long_steps.size - n_repeats)
-    multiples = steps[steps > 0.0] / median_step
-    is_even = (
-        np.mean(np.abs(multiples - np.round(multiples)) < _STEP_TOLERANCE) > _MIN_EVEN_FRACTION
-    )
+    ratios = steps[steps > 0.0] / median_step
+    is_even = np.mean(np.abs(ratios - np.round(ratios)) < _STEP_TOLERANCE) > _MIN_EVEN_FRACTION
     if n_missing > 0 and is_even:
         yield (
             f"missing samples: about {n_missing} (the time advances by more than one sampling "

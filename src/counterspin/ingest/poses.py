@@ -125,7 +125,7 @@ class PosesDraft(AnsweredDraft):
     def _make_record_keys(self, answers: Mapping[str, str], folder: Path) -> dict[str, Any]:
         """Return the keys for records of poses: time, and one run per record."""
         time = self.guesses[0].time
-        poses = {"rest": answers["rest"]} | ({"u": answers["u"]} if "u" in answers else {})
+        pose_keys = {"rest": answers["rest"]} | ({"u": answers["u"]} if "u" in answers else {})
         time_table: dict[str, Any] = {"sampling_rate": answers.get("sampling_rate")}
         if time is not None:
             time_table = {"column": time.column, "unit": time.unit or answers["time unit"]}
@@ -142,7 +142,7 @@ class PosesDraft(AnsweredDraft):
                 "motion": "static",
                 "attitude": "unknown",
                 "record": relative_path(contents.path, folder),
-                "poses": poses,
+                "poses": pose_keys,
             }
             runs.append(run if have_same_format else run | {"records": contents.dialect_keys})
         records = (
@@ -239,8 +239,8 @@ def _make_questions(
         yield FileQuestion("u", text, example, quantity=pose_unit)
     if not is_table:
         text = "What is the minimum duration of a rest interval that is used as a pose?"
-        duration = f"{triad.rest if triad else MIN_DURATION:g} s"
-        yield FileQuestion("rest", text, duration, guess=duration, quantity="s")
+        duration_text = f"{triad.rest if triad else MIN_DURATION:g} s"
+        yield FileQuestion("rest", text, duration_text, guess=duration_text, quantity="s")
     text = "What is the grade of the sensor? The grade determines the default uncertainties."
     grade = guess_grade(triad, guess) if triad else None
     yield FileQuestion("grade", text, "consumer", GRADES, grade)
@@ -273,16 +273,16 @@ def _make_statements(
     )
     source = guesses[0].contents.path.name if len(guesses) == 1 else f"{len(guesses)} files"
     yield from _make_pose_warnings(triad)
-    threshold = f"{poses.threshold:.3g} {triad.unit or ''}".strip()
+    threshold_text = f"{poses.threshold:.3g} {triad.unit or ''}".strip()
     yield (
         f"{len(poses.start)} poses in {source}{condition}: rest intervals of at least "
         f"{answers.get('rest', f'{triad.rest:g} s')} in which the combined scatter of the axes "
-        f"is below {threshold}; the attitudes are unknown"
+        f"is below {threshold_text}; the attitudes are unknown"
     )
     yield from poses.warnings
     yield from poses.rejected
-    for axes in triad.further_columns:
-        answer_text = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, axes, strict=True))
+    for names in triad.further_columns:
+        answer_text = ", ".join(f"{axis}={name}" for axis, name in zip(AXES, names, strict=True))
         yield (
             "three further axes are at rest at the same times. They belong to a second sensor "
             f"and are not used; to calibrate that sensor, answer {answer_text}"
@@ -305,16 +305,16 @@ def _make_pose_warnings(triad: TriadColumns) -> Iterator[str]:
     """Yield warnings about too few poses, or poses in too few directions."""
     if not _make_model(triad) or triad.means is None:
         return
-    is_short = len(triad.means) <= N_PARAMETERS
+    has_few_poses = len(triad.means) <= N_PARAMETERS
     reason = (
         "with nine poses or fewer, the noise and the angles between the axes cannot both be "
         "determined"
-        if is_short
+        if has_few_poses
         else "poses near the six faces do not determine the angles between the axes"
     )
     advice = (
         "spread over the whole sphere"
-        if is_short
+        if has_few_poses
         else "halfway between two axes, in both directions"
     )
     yield (

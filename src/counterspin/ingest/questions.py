@@ -276,8 +276,8 @@ def _make_angle_questions(
     if angle is not None and angle.unit == "count":
         suggestion = f" The periodic signals suggest {angle.period:.6g}." if angle.period else ""
         text = f"How many counts of column '{angle.column}' are there per revolution?{suggestion}"
-        counts = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
-        yield FileQuestion("per_revolution", text, "65536", guess=counts)
+        counts_text = f"{angle.per_revolution:.12g}" if angle.per_revolution else None
+        yield FileQuestion("per_revolution", text, "65536", guess=counts_text)
     text = "In which sense does the angle increase, as seen from above?"
     if angle is None or angle.pulses:
         text = "In which sense does the centrifuge rotate, as seen from above?"
@@ -367,9 +367,9 @@ def find_sense(common_guess: FileGuess) -> str | None:
         if signal.phase is not None and signal.axis is not None and signal.observable:
             axis, axis_phase = _OPPOSITE_AXES.get(signal.axis, (signal.axis, 0.0))
             phases_by_observable.setdefault(signal.observable, {})[axis] = signal.phase + axis_phase
-    for phase in phases_by_observable.values():
-        if "east" in phase and "north" in phase:
-            phase_lead = math.remainder(phase["east"] - phase["north"], 2.0 * math.pi)
+    for phases in phases_by_observable.values():
+        if "east" in phases and "north" in phases:
+            phase_lead = math.remainder(phases["east"] - phases["north"], 2.0 * math.pi)
             if abs(abs(phase_lead) - math.pi / 2.0) < _PHASE_TOLERANCE:
                 return SENSES[0] if phase_lead > 0.0 else SENSES[1]
     return None
@@ -398,11 +398,11 @@ def _infer_unit(signal: SignalGuess, radius: float, rate: float) -> SignalGuess:
     """Return a signal with the unit that fits its amplitude at a radius, m, and a rate, rad/s."""
     if signal.unit is not None or signal.observable is None:
         return signal
-    derivatives, si_unit = (
+    derivative_order, si_unit = (
         list(OBSERVABLES).index(signal.observable),
         OBSERVABLES[signal.observable],
     )
-    expected_amplitude = radius * rate**derivatives
+    expected_amplitude = radius * rate**derivative_order
     for unit in COMMON_UNITS[si_unit]:
         amplitude = signal.amplitude * unit_factor(unit, si_unit, gravity=STANDARD_GRAVITY)
         if abs(amplitude / expected_amplitude - 1.0) < _AMPLITUDE_TOLERANCE:
@@ -426,7 +426,7 @@ def _infer_axis(
             continue
         direction = COMPASS_ANGLES[reference.axis] + sense_sign * (reference.phase - signal.phase)
         for axis, axis_direction in COMPASS_ANGLES.items():
-            difference = abs(math.remainder(direction - axis_direction, 2.0 * math.pi))
-            if axis != reference.axis and difference < _PHASE_TOLERANCE:
+            angle_difference = abs(math.remainder(direction - axis_direction, 2.0 * math.pi))
+            if axis != reference.axis and angle_difference < _PHASE_TOLERANCE:
                 return replace(signal, axis=axis)
     return signal

@@ -346,10 +346,10 @@ def _find_pose_rows(values: Array) -> Array | None:
     rows = values[np.isfinite(values).all(axis=1)]
     if not _MIN_POSES <= len(rows) <= _MAX_POSES:
         return None
-    centred = rows - _find_zero(rows)
+    vectors = rows - _find_zero(rows)
     # In a record, the direction hardly changes between rows.
-    median_turn = np.median(_row_norms(np.diff(centred, axis=0))) / np.median(_row_norms(centred))
-    return rows if median_turn > _MIN_TURN and _cover_directions(centred) else None
+    median_turn = np.median(_row_norms(np.diff(vectors, axis=0))) / np.median(_row_norms(vectors))
+    return rows if median_turn > _MIN_TURN and _cover_directions(vectors) else None
 
 
 def _are_integers(values: Array) -> bool:
@@ -395,10 +395,10 @@ def _cover_directions(means: Array) -> bool:
     if not norms.all():
         return False
     singular_values = np.linalg.svd(means / norms[:, None], compute_uv=False)
-    is_many = len(norms) >= _MIN_POSES
+    has_many_poses = len(norms) >= _MIN_POSES
     # At least three directions must be well represented.
     return bool(
-        is_many
+        has_many_poses
         and _are_equal(norms, _GRAVITY_TOLERANCE)
         and singular_values[-1] > 0.2 * singular_values[0]
     )
@@ -464,7 +464,7 @@ def _find_named_triples(columns: Sequence[FileColumn]) -> list[ColumnTriple]:
             family = families.setdefault((prefix, suffix, match[0].isupper()), {})
             family[match[0].lower()] = column
     return [
-        (letters["x"], letters["y"], letters["z"])
-        for letters in families.values()
-        if len(letters) == len("xyz")
+        (column_by_letter["x"], column_by_letter["y"], column_by_letter["z"])
+        for column_by_letter in families.values()
+        if len(column_by_letter) == len("xyz")
     ]

@@ -247,11 +247,11 @@ class Hdf5File(ArrayFile):
                 )
             if field:
                 array = _FieldArray(dataset, field)
-                has_numbers, shape = array.dtype.kind in "fiu", array.shape
+                is_numeric, shape = array.dtype.kind in "fiu", array.shape
             else:
                 type_class = dataset.id.get_type().get_class()
-                has_numbers, shape = type_class in (h5py.h5t.INTEGER, h5py.h5t.FLOAT), dataset.shape
-            if not has_numbers:
+                is_numeric, shape = type_class in (h5py.h5t.INTEGER, h5py.h5t.FLOAT), dataset.shape
+            if not is_numeric:
                 raise RecordError(
                     f"{self.path}: '{name}' does not contain numbers.", code="not-numeric"
                 )
@@ -359,17 +359,17 @@ class MatlabFile(ArrayFile):
         from scipy.io import loadmat
 
         self._stream.seek(0)
-        pending = [(name, loadmat(self._stream, variable_names=[name])[name])]
+        pending_items = [(name, loadmat(self._stream, variable_names=[name])[name])]
         del self._variables[name]
-        while pending:
-            path, value = pending.pop()
+        while pending_items:
+            path, value = pending_items.pop()
             if value.dtype.names is not None and value.size <= _MAX_COLUMNS:
                 fields = [
                     (f"{path}{f'({index})' if value.size > 1 else ''}.{key}", element[key])
                     for index, element in enumerate(value.ravel(), 1)
                     for key in value.dtype.names
                 ]
-                pending += reversed(fields)
+                pending_items += reversed(fields)
             elif value.dtype.kind in "fiub":
                 self._variables[path] = (value.shape, "double")
                 self._loaded[path] = value

@@ -149,10 +149,10 @@ class Clock:
 
     def accept(self, first_row: int, chunk: Chunk) -> UsableRows:
         """Check one chunk."""
-        usable = self._accept_complete_chunk(chunk) or self._accept_rows(first_row, chunk)
-        accepted_chunk = usable.chunk
+        usable_rows = self._accept_complete_chunk(chunk) or self._accept_rows(first_row, chunk)
+        accepted_chunk = usable_rows.chunk
         if len(accepted_chunk):
-            last = -1 if usable.rows is None else int(usable.rows[-1])
+            last = -1 if usable_rows.rows is None else int(usable_rows.rows[-1])
             self._last_values = [float(column[last]) for column in chunk.columns]
             self._last_time = float(accepted_chunk.time[-1])
             if accepted_chunk.angle is not None:
@@ -160,7 +160,7 @@ class Clock:
                 span = self._last_time - float(accepted_chunk.time[0])
                 if abs(self.rate) * span > 1.0:
                     self.rate = (self._last_angle - float(accepted_chunk.angle[0])) / span
-        return usable
+        return usable_rows
 
     def _accept_complete_chunk(  # noqa: PLR0911 - each failed test leads to the check of single rows
         self, chunk: Chunk
@@ -272,8 +272,8 @@ class Clock:
         if is_large.any():
             self.findings.implausible_angles += int(is_large.sum())
             self._record_angle_outliers(first_row + rows[is_large])
-        plausible: np.ndarray = rows[~is_large]
-        return plausible
+        plausible_rows: np.ndarray = rows[~is_large]
+        return plausible_rows
 
     def _drop_repeats(self, chunk: Chunk, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         repeats = np.flatnonzero(steps == 0)
@@ -423,22 +423,22 @@ class Clock:
 
 def _step_tolerance(misfits: np.ndarray, angle: np.ndarray) -> float:
     """Return the tolerance of an angle step, rad: noise, encoder step and rounding."""
-    magnitude = np.abs(misfits)
-    rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
-    significant = magnitude[magnitude > rounding]
-    encoder_step = float(significant.min()) if len(significant) else 0.0
-    if len(significant) <= max(4, _COMMON_FRACTION * len(magnitude)):
+    magnitudes = np.abs(misfits)
+    rounding_error = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
+    significant_magnitudes = magnitudes[magnitudes > rounding_error]
+    encoder_step = float(significant_magnitudes.min()) if len(significant_magnitudes) else 0.0
+    if len(significant_magnitudes) <= max(4, _COMMON_FRACTION * len(magnitudes)):
         # An encoder step recurs, a jump does not: a jump must not widen its own tolerance.
         encoder_step = min(encoder_step, _ENCODER_STEP_RAD)
     # Near a gap, or with an uneven clock, deviations may be smaller than the encoder step.
-    rare_count = int(_COMMON_FRACTION * len(magnitude)) + 4
-    if rare_count < len(magnitude):
-        largest_common = float(np.partition(magnitude, -rare_count)[-rare_count])
-        encoder_step = max(encoder_step, min(largest_common, _ENCODER_STEP_RAD))
+    rare_count = int(_COMMON_FRACTION * len(magnitudes)) + 4
+    if rare_count < len(magnitudes):
+        largest_common_misfit = float(np.partition(magnitudes, -rare_count)[-rare_count])
+        encoder_step = max(encoder_step, min(largest_common_misfit, _ENCODER_STEP_RAD))
     return (
-        _RESIDUAL_SDS * MAD_TO_SIGMA * upper_median(magnitude) + 3 * encoder_step + rounding
-        if len(magnitude)
-        else rounding
+        _RESIDUAL_SDS * MAD_TO_SIGMA * upper_median(magnitudes) + 3 * encoder_step + rounding_error
+        if len(magnitudes)
+        else rounding_error
     )
 
 

@@ -308,7 +308,7 @@ class ColumnFile(ABC):
                 code="missing-column",
             )
         cells = [cell.strip() for cell in self.all_cells(column)]
-        mask = np.array([_same_cell(cell, value) for cell in cells])
+        mask = np.array([_is_same_cell(cell, value) for cell in cells])
         if not mask.any():
             values = format_names(sorted(set(cells)), 8)
             raise RecordError(
@@ -423,8 +423,8 @@ class ColumnFile(ABC):
     def _missing_columns_message(self, missing_names: Sequence[str]) -> str:
         from difflib import get_close_matches
 
-        missing, existing = format_names(missing_names), format_names(self.names)
-        message = f"the file has no column {missing}; it has {existing}."
+        missing_text, existing_text = format_names(missing_names), format_names(self.names)
+        message = f"the file has no column {missing_text}; it has {existing_text}."
         matches = get_close_matches(missing_names[0], self.names, n=1)
         return message + (f" Did you mean '{matches[0]}'?" if matches else "")
 
@@ -447,7 +447,7 @@ def _parse_split_time(name: str) -> SplitTime | None:
     return SplitTime.parse(name)
 
 
-def _same_cell(cell: str, value: str) -> bool:
+def _is_same_cell(cell: str, value: str) -> bool:
     """Return True if a cell equals a value, as text or as a number."""
     if cell == value.strip():
         return True
@@ -489,9 +489,9 @@ def polars_path(path: Path) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
-        printable = text.encode(errors="replace").decode()
+        path_text = text.encode(errors="replace").decode()
         raise RecordError(
-            f"{printable}: the path is not valid UTF-8; rename the folder.", code="invalid-name"
+            f"{path_text}: the path is not valid UTF-8; rename the folder.", code="invalid-name"
         ) from None
     return text
 
@@ -541,8 +541,8 @@ def parse_nanoseconds(name: str) -> pl.Expr:
         text_24h.to_datetime(datetime_format, time_unit="ns", strict=False),
         text_12h.to_datetime("%Y-%m-%dT%I:%M:%S%.f%p", time_unit="ns", strict=False),
     )
-    with_zone = pl.when(has_zone).then(text)
-    utc_times = with_zone.str.to_datetime(
+    zoned_text = pl.when(has_zone).then(text)
+    utc_times = zoned_text.str.to_datetime(
         f"{datetime_format}%z", time_unit="ns", time_zone="UTC", strict=False
     )
     timestamps = pl.coalesce(utc_times.dt.replace_time_zone(None), local_times).cast(pl.Int64())

@@ -192,8 +192,8 @@ class CsvFile(ColumnFile):
         if self._has_names:
             return message
         location = f"above the first numbers, line {self._before_rows + 1}"
-        unnamed = f"no line {location}, contains column names, so the columns are numbered"
-        reason = self._mismatch or unnamed
+        unnamed_reason = f"no line {location}, contains column names, so the columns are numbered"
+        reason = self._mismatch or unnamed_reason
         return f"{message} {reason[0].upper()}{reason[1:]}."
 
     def first_cells(self, names: Sequence[str], count: int) -> dict[str, list[str]]:
@@ -517,8 +517,8 @@ class CsvFile(ColumnFile):
 
     def _data_lines(self) -> Iterator[int]:
         # Comments are lines, but not rows.
-        body = islice(self._lines(), self._before_rows, None)
-        return (line_number for line_number, line in body if not line.startswith(b"#"))
+        body_lines = islice(self._lines(), self._before_rows, None)
+        return (line_number for line_number, line in body_lines if not line.startswith(b"#"))
 
 
 def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> ColumnFile:

@@ -127,7 +127,7 @@ Line = tuple[int, str]
 
 def detect_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
     """Return the detected layout of a file; None if no rows are found."""
-    best: tuple[int, TableFormat] | None = None
+    best_score: tuple[int, TableFormat] | None = None
     lines = [(number, line) for number, line in lines if not _RULED_LINE.fullmatch(line)]
     for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
         split_lines = [(number, _split_comment(line, delimiter)) for number, line in lines]
@@ -135,9 +135,9 @@ def detect_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None
             split_lines = _join_spaced_names(split_lines, lines)
         for decimal in [dialect.decimal] if dialect.decimal else (".", ","):
             candidate = find_rows(split_lines, dialect, decimal, delimiter)
-            if candidate is not None and (best is None or candidate[0] > best[0]):
-                best = candidate
-    return best and best[1]
+            if candidate is not None and (best_score is None or candidate[0] > best_score[0]):
+                best_score = candidate
+    return best_score and best_score[1]
 
 
 def join_quoted_lines(lines: Sequence[Line]) -> list[Line]:
@@ -298,9 +298,9 @@ def find_rows(
             names = ["column 1", *names]  # R writes no name above the row names
             unit_cells = ["", *unit_cells] if unit_cells else unit_cells
     is_unnamed = header_cells is not None and _has_unnamed_columns(names, rows, decimal)
-    nearest_line = lines_above or [(number, cells) for number, cells in table[:start][-1:]]
-    if is_unnamed or (header_cells is None and _has_miscounted_names(nearest_line, width, decimal)):
-        number, cells = (header, names) if is_unnamed else nearest_line[-1]
+    last_lines = lines_above or [(number, cells) for number, cells in table[:start][-1:]]
+    if is_unnamed or (header_cells is None and _has_miscounted_names(last_lines, width, decimal)):
+        number, cells = (header, names) if is_unnamed else last_lines[-1]
         if not _are_unnamed_rows(rows, decimal, delimiter):
             return None
         mismatch = (
@@ -484,7 +484,7 @@ def _find_longest_run(
     table: Sequence[tuple[int, list[str]]], decimal: str, start_line: int
 ) -> tuple[int, int]:
     """Return start and stop of the longest run of rows with equal numbers of cells."""
-    longest, start = (0, 0), 0
+    longest_run, start = (0, 0), 0
     for index in range(len(table) + 1):
         number, cells = table[index] if index < len(table) else (0, [])
         is_comment = bool(cells) and cells[0].startswith("#")
@@ -492,10 +492,10 @@ def _find_longest_run(
         is_same_width = index > start and len(cells) == len(table[start][1])
         if is_row and (is_comment or index == start or is_same_width):
             continue
-        if index - start > longest[1] - longest[0]:
-            longest = (start, index)
+        if index - start > longest_run[1] - longest_run[0]:
+            longest_run = (start, index)
         start = index if is_row and not is_comment else index + 1
-    return longest
+    return longest_run
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
@@ -552,11 +552,11 @@ def _is_row(cells: Iterable[str], decimal: str) -> bool:
 
 def _has_numbers(cells: Sequence[str], decimal: str) -> bool:
     """Return whether at least half of the non-empty cells are numbers or times."""
-    nonempty = [cell for cell in cells if cell]
+    entries = [cell for cell in cells if cell]
     number_count = sum(
-        is_number(cell, decimal) or bool(TIMESTAMP.fullmatch(cell)) for cell in nonempty
+        is_number(cell, decimal) or bool(TIMESTAMP.fullmatch(cell)) for cell in entries
     )
-    return 2 * number_count >= len(nonempty) and any(is_number(cell, decimal) for cell in nonempty)
+    return 2 * number_count >= len(entries) and any(is_number(cell, decimal) for cell in entries)
 
 
 def is_number(cell: str, decimal: str) -> bool:

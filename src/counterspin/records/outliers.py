@@ -85,10 +85,10 @@ def detect_outliers(
     typical_scale = upper_median(np.abs(signal))
     is_sentinel = np.abs(signal) > _MIN_SENTINEL_RATIO * typical_scale
     if typical_scale > 0.0 and is_sentinel.any():
-        without_sentinels = np.where(
+        masked_signal = np.where(
             is_sentinel if is_finite is None else is_sentinel | ~is_finite, np.nan, signal
         )
-        other_outliers = detect_outliers(time, without_sentinels, rate, step, unevenness, weight)
+        other_outliers = detect_outliers(time, masked_signal, rate, step, unevenness, weight)
         return np.union1d(
             np.flatnonzero(is_sentinel if is_finite is None else is_sentinel & is_finite),
             other_outliers,
@@ -130,9 +130,9 @@ def upper_median(values: np.ndarray) -> float:
     For a few hundred values, `np.median` takes several times as long.
     """
     middle_index = len(values) // 2
-    partitioned = values.copy()
-    partitioned.partition(middle_index)
-    return float(partitioned[middle_index])
+    partitioned_values = values.copy()
+    partitioned_values.partition(middle_index)
+    return float(partitioned_values[middle_index])
 
 
 def _screen_all(
@@ -246,8 +246,8 @@ def _make_basis(phase: np.ndarray) -> np.ndarray:
         # would look like outliers in a record with little noise.
         functions = [np.ones_like(u), u, u**2, cos, sin, u * cos, u * sin]
         functions += [np.cos(2.0 * phase), np.sin(2.0 * phase)]
-    orthonormal: np.ndarray = np.linalg.qr(np.stack(functions, axis=-1))[0]
-    return orthonormal
+    orthonormal_basis: np.ndarray = np.linalg.qr(np.stack(functions, axis=-1))[0]
+    return orthonormal_basis
 
 
 def _fit_robustly(

@@ -252,11 +252,11 @@ def _read_in_forks(libraries: list[str], requests: Any, replies: BinaryIO) -> No
         return
     while _can_fork():
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        child = os.fork()
-        if child == 0:
+        child_pid = os.fork()
+        if child_pid == 0:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             _read_and_exit(libraries, requests, replies)
-        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        status = os.waitstatus_to_exitcode(os.waitpid(child_pid, 0)[1])
         if status != _RESTART_STATUS:
             _exit_like(status)
         # Load all libraries: further files of any format may be damaged.

@@ -105,13 +105,13 @@ def _read_file(
     pulses: tuple[np.ndarray, FileIdentity | None] | None,
 ) -> Record:
     times = pulses and pulses[0]
-    with open_record(path, columns, motion.rate, times) as (file, resolved, files):
+    with open_record(path, columns, motion.rate, times) as (file, resolved_columns, files):
         try:
-            record = _read_checked(file, resolved, motion, block)
+            record = _read_checked(file, resolved_columns, motion, block)
         except RecordError:
             if not file.use_strict_parser():
                 raise
-            record = _read_checked(file, resolved, motion, block)
+            record = _read_checked(file, resolved_columns, motion, block)
         other_files = {other.path: other.identity for other in files[1:] if other.identity}
         if columns.pulses and pulses and pulses[1]:
             other_files[columns.pulses] = pulses[1]
@@ -227,14 +227,14 @@ class _RecordReader:
             if not self._motion.has_constant_input:
                 self._sums.add([columns[spec.name] for spec in self._signals])
             first_row, stop_row = self._row_range(columns, time_range)
-            excluded_rows = rows - (stop_row - first_row)
+            excluded_count = rows - (stop_row - first_row)
             out_of_range = (
                 rows - _row_count(*self._row_range(columns, self._columns.time_range))
-                if excluded_rows
+                if excluded_count
                 else 0
             )
             self._rows_outside += out_of_range
-            self._isolated_rows += excluded_rows - out_of_range
+            self._isolated_rows += excluded_count - out_of_range
             if first_row < stop_row:
                 used_rows = slice(first_row, stop_row)
                 used_columns = {name: column[used_rows] for name, column in columns.items()}
@@ -374,10 +374,10 @@ class _RecordReader:
                     f"{self._rows} rows; at most {100 * MAX_EMPTY_FRACTION:.0f} % may be empty.",
                     code="empty-cells",
                 )
-        implausible = self._clock.findings.implausible_angles
-        if self._columns.angle is not None and implausible > MAX_EMPTY_FRACTION * self._rows:
+        n_invalid = self._clock.findings.implausible_angles
+        if self._columns.angle is not None and n_invalid > MAX_EMPTY_FRACTION * self._rows:
             raise RecordError(
-                f"{self._file.path}: column '{self._columns.angle.name}' has {implausible} angles "
+                f"{self._file.path}: column '{self._columns.angle.name}' has {n_invalid} angles "
                 f"above {MAX_ANGLE:g} rad in {self._rows} rows; at most "
                 f"{100 * MAX_EMPTY_FRACTION:.0f} % are allowed. Check the unit of the column, or "
                 "subtract the first value.",
@@ -457,10 +457,10 @@ class _RecordReader:
 
         RecordError if the amplitude changes or does not agree with the motion.
         """
-        nominal = self._motion.expected_harmonics.get(accelerometer)
+        harmonic = self._motion.expected_harmonics.get(accelerometer)
         harmonic_fit = fit_harmonics(phase, signal)
         no_rows = np.empty(0, dtype=int)
-        dropout = no_rows if nominal is None else find_dropout(harmonic_fit, phase, signal)
+        dropout = no_rows if harmonic is None else find_dropout(harmonic_fit, phase, signal)
         if len(dropout) > MAX_EMPTY_FRACTION * len(signal):
             start, end = blocks.time[dropout[0]], blocks.time[dropout[-1]]
             raise RecordError(
@@ -478,11 +478,11 @@ class _RecordReader:
             signal = signal.copy()
             signal[dropout] = np.nan
             harmonic_fit = fit_harmonics(phase, signal)
-        change = find_unit_change(harmonic_fit, may_grow=nominal is None)
+        change = find_unit_change(harmonic_fit, may_grow=harmonic is None)
         if change is not None:
             raise self._unit_change_error(accelerometer, harmonic_fit, change, blocks.time, phase)
-        if nominal is not None:
-            problem = check_first_harmonic(harmonic_fit, nominal, self._columns.angle is not None)
+        if harmonic is not None:
+            problem = check_first_harmonic(harmonic_fit, harmonic, self._columns.angle is not None)
             if problem is not None:
                 column = self._columns.signals[accelerometer].name
                 raise RecordError(
@@ -546,14 +546,16 @@ class _RecordReader:
         findings = self._clock.findings
         names = [spec.name for spec in self._signals]
         outliers = dict(zip(names, self._outlier_counts, strict=True))
-        listed = list(self._listed_outliers)
+        listed_outliers = list(self._listed_outliers)
         rate = None
         if self._columns.angle is not None and blocks.angle is not None:
             name = self._columns.angle.name
             outliers = {name: findings.angle_outliers, **outliers}
-            listed += [Outlier(name, row + 1, np.nan, np.nan) for row in findings.outlier_rows]
-            advance = blocks.angle[-1] - blocks.angle[0]
-            rate = float(advance / (blocks.time[-1] - blocks.time[0]))
+            listed_outliers += [
+                Outlier(name, row + 1, np.nan, np.nan) for row in findings.outlier_rows
+            ]
+            angle_advance = blocks.angle[-1] - blocks.angle[0]
+            rate = float(angle_advance / (blocks.time[-1] - blocks.time[0]))
         descriptions = [self._file.format_description, *self._repeats.notes(self._rows)]
         return RecordReport(
             path=self._file.path,
@@ -564,7 +566,7 @@ class _RecordReader:
             empty=self._count_empty_cells(),
             outliers=outliers,
             isolated=self._isolated_rows,
-            listed=tuple(listed),
+            listed=tuple(listed_outliers),
             gaps=tuple(Gap(gap.time + self._start_time, gap.length) for gap in findings.gaps),
             gap_count=findings.gap_count,
             wrapped=findings.wrapped,

@@ -142,20 +142,20 @@ class BlockAverager:
     def _mean_complete(self, chunk: Chunk, unevenness: float) -> BlockMeans:
         size, time = self._block, chunk.time
         full_samples = len(time) // size * size
-        tail = len(time) - full_samples
+        n_tail = len(time) - full_samples
 
         def average_blocks(x: np.ndarray) -> np.ndarray:
             mean: np.ndarray = x[:full_samples].reshape(-1, size) @ self._mean
-            return np.append(mean, x[full_samples:].mean()) if tail else mean
+            return np.append(mean, x[full_samples:].mean()) if n_tail else mean
 
         mean_time = average_blocks(time)
         count = np.full(len(mean_time), size)
         mean_angle = None if chunk.angle is None else average_blocks(chunk.angle)
 
         def block_sds(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
-            deviation = x[:full_samples].reshape(-1, size) - mean[: full_samples // size, None]
-            spread = np.sqrt(np.einsum("ij,ij->i", deviation, deviation) / size)
-            return np.append(spread, x[full_samples:].std()) if tail else spread
+            deviations = x[:full_samples].reshape(-1, size) - mean[: full_samples // size, None]
+            sds = np.sqrt(np.einsum("ij,ij->i", deviations, deviations) / size)
+            return np.append(sds, x[full_samples:].std()) if n_tail else sds
 
         angle_sd = np.full(len(mean_time), math.nan)
         if unevenness < _IGNORED_UNEVENNESS:
@@ -164,9 +164,9 @@ class BlockAverager:
             time_sd = block_sds(time, mean_time)
             if chunk.angle is not None and mean_angle is not None:
                 angle_sd = block_sds(chunk.angle, mean_angle)
-        if tail:
+        if n_tail:
             time_sd[-1] = time[full_samples:].std()
-            count[-1] = tail
+            count[-1] = n_tail
         signals = [average_blocks(signal) for signal in chunk.signals]
         return BlockMeans(mean_time, time_sd, count, mean_angle, signals, angle_sd)
 

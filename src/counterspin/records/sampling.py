@@ -364,8 +364,8 @@ def _lacks_rows(delay: Array, rows: int) -> bool:
 
 def _has_constant_run(lengths: npt.NDArray[np.int_], rows: float) -> bool:
     """Return True if one value repeats for a long time, as in a dead or saturated channel."""
-    long_stretches = lengths[lengths > 1]
-    return bool(long_stretches.size == 0 or quantile(long_stretches, 0.95) > 3.0 * rows + 2.0)
+    long_runs = lengths[lengths > 1]
+    return bool(long_runs.size == 0 or quantile(long_runs, 0.95) > 3.0 * rows + 2.0)
 
 
 def _find_change_period(change_indices: npt.NDArray[np.int_]) -> int:
@@ -450,10 +450,10 @@ class SplitTime:
         whole_units = np.floor(np.where(is_valid, coarse, 0.0))
         fraction = np.where(is_valid, coarse, 0.0) - whole_units
         coarse_ns, fine_ns = _UNIT_NANOSECONDS[self.coarse_unit], _UNIT_NANOSECONDS[self.fine_unit]
-        remainder = np.round(fraction * coarse_ns + np.where(is_valid, fine, 0.0) * fine_ns).astype(
-            np.int64
-        )
-        return whole_units.astype(np.int64) * coarse_ns + remainder, is_valid
+        remainder_ns = np.round(
+            fraction * coarse_ns + np.where(is_valid, fine, 0.0) * fine_ns
+        ).astype(np.int64)
+        return whole_units.astype(np.int64) * coarse_ns + remainder_ns, is_valid
 
 
 def find_split_time(columns: Mapping[str, Array]) -> SplitTime | None:
@@ -479,13 +479,13 @@ def find_split_time(columns: Mapping[str, Array]) -> SplitTime | None:
 def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
     """Yield pairs of columns with suitable names, those with a common prefix first."""
     unbracketed_names = {name: re.sub(_BRACKETED_UNIT, "", name) for name in columns}
-    weeks = [
+    week_names = [
         name
         for name, text in unbracketed_names.items()
         if re.fullmatch(_COARSE_NAMES["week"], text)
     ]
-    for week, name in product(weeks, columns):
-        if name != week and re.fullmatch(_TIME_OF_WEEK_NAME, unbracketed_names[name]):
+    for week_name, name in product(week_names, columns):
+        if name != week_name and re.fullmatch(_TIME_OF_WEEK_NAME, unbracketed_names[name]):
             unit = bracketed_unit(name)
             if unit not in _UNIT_NANOSECONDS:
                 unit = next(
@@ -498,16 +498,18 @@ def _candidate_pairs(columns: Mapping[str, Array]) -> Iterator[SplitTime]:
                 )
             if not unit:
                 unit = "ms" if np.nanmax(columns[name], initial=0.0) >= _WEEK_SECONDS else "s"
-            yield SplitTime(week, "week", name, unit)
-    seconds = [
+            yield SplitTime(week_name, "week", name, unit)
+    second_names = [
         name
         for name, text in unbracketed_names.items()
         if re.fullmatch(_COARSE_NAMES["s"], text) or bracketed_unit(name) == "s"
     ]
     pairs = [
-        SplitTime(second, "s", name, unit)
-        for second, name, (unit, pattern) in product(seconds, columns, _FINE_NAMES.items())
-        if name != second
+        SplitTime(second_name, "s", name, unit)
+        for second_name, name, (unit, pattern) in product(
+            second_names, columns, _FINE_NAMES.items()
+        )
+        if name != second_name
         and (re.fullmatch(pattern, unbracketed_names[name]) or bracketed_unit(name) == unit)
     ]
     yield from sorted(pairs, key=lambda pair: -_common_prefix_length(pair.coarse, pair.fine))

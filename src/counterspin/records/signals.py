@@ -153,12 +153,14 @@ def _is_outlying_revolution(harmonic_fit: HarmonicFit) -> np.ndarray:
     if len(amplitude) < 3:
         return np.zeros(len(amplitude), dtype=bool)
     # An actual amplitude, not the mean of two: each half of the record may have another unit.
-    typical = float(np.sort(amplitude)[len(amplitude) // 2])
+    typical_amplitude = float(np.sort(amplitude)[len(amplitude) // 2])
     min_difference = _CHANGE_SDS * median(harmonic_fit.u_amplitude)
-    is_outlying: np.ndarray = (amplitude > _CHANGE_RATIO * typical) | (
-        amplitude < typical / _CHANGE_RATIO
+    is_outlying: np.ndarray = (amplitude > _CHANGE_RATIO * typical_amplitude) | (
+        amplitude < typical_amplitude / _CHANGE_RATIO
     )
-    is_outlying &= (np.abs(amplitude - typical) > min_difference) & (typical > min_difference)
+    is_outlying &= (np.abs(amplitude - typical_amplitude) > min_difference) & (
+        typical_amplitude > min_difference
+    )
     return is_outlying
 
 
@@ -173,14 +175,14 @@ def find_unit_change(harmonic_fit: HarmonicFit, *, may_grow: bool) -> UnitChange
     if not is_outlying.any():
         return None
     amplitude = np.abs(harmonic_fit.amplitude)
-    revolution = int(np.flatnonzero(is_outlying != is_outlying[0])[0])
+    change_index = int(np.flatnonzero(is_outlying != is_outlying[0])[0])
     if may_grow and not (
-        _is_steady(amplitude[:revolution][-4:-1])
-        and _is_steady(amplitude[revolution + 1 : revolution + 4])
+        _is_steady(amplitude[:change_index][-4:-1])
+        and _is_steady(amplitude[change_index + 1 : change_index + 4])
     ):
         return None
     # The revolution of the change is a mixture: compare its neighbours.
-    before, after = max(revolution - 2, 0), min(revolution + 1, len(amplitude) - 1)
+    before, after = max(change_index - 2, 0), min(change_index + 1, len(amplitude) - 1)
     factor = float(amplitude[after] / amplitude[before]) if amplitude[before] else math.inf
     if may_grow and 1 / _CHANGE_RATIO <= factor <= _CHANGE_RATIO:
         return None
@@ -385,8 +387,8 @@ def polynomial_coefficients(chunks: Iterable[tuple[Array, Array]]) -> Array:
         powers = np.vander(time[is_finite] - origin, 3, increasing=True)
         gram += powers.T @ powers
         moments += signal[is_finite] @ powers
-    squares = np.diagonal(gram)
-    scale = 1.0 / np.sqrt(np.where(squares > 0.0, squares, 1.0))
+    diagonal = np.diagonal(gram)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     try:
         cholesky_factor = np.linalg.cholesky(gram * np.outer(scale, scale))
     except np.linalg.LinAlgError:  # fewer than three times

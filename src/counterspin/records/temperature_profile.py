@@ -47,13 +47,13 @@ def read_temperature_profile(path: Path | MemoryTable, columns: RecordColumns) -
 
 
 def _read_profile(path: Path | MemoryTable, columns: RecordColumns) -> tuple[float, ...]:
-    with open_record(path, columns, 0.0) as (file, resolved, _):
+    with open_record(path, columns, 0.0) as (file, resolved_columns, _):
         try:
-            return _compute_profile(file, resolved)
+            return _compute_profile(file, resolved_columns)
         except RecordError:
             if not file.use_strict_parser():
                 raise
-            return _compute_profile(file, resolved)
+            return _compute_profile(file, resolved_columns)
 
 
 def _compute_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tuple[float, ...]:
@@ -101,13 +101,13 @@ def _compute_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tupl
             continue
         previous_times = np.append(time_span[0] if math.isnan(last_time) else last_time, used_times)
         steps = np.diff(previous_times)
-        largest_gap = int(np.argmax(steps))
+        largest_gap_index = int(np.argmax(steps))
         longest_gap = max(
             longest_gap,
             (
-                float(steps[largest_gap]),
-                float(previous_times[largest_gap]),
-                float(used_times[largest_gap]),
+                float(steps[largest_gap_index]),
+                float(previous_times[largest_gap_index]),
+                float(used_times[largest_gap_index]),
             ),
         )
         last_time = float(used_times[-1])

@@ -142,7 +142,7 @@ def number_rewriters(text: str) -> Iterator[Callable[[str], str]]:
     if _FORTRAN_EXPONENT.search(text) and _FORTRAN_NUMBER.search(text):
         yield partial(_FORTRAN_NUMBER.sub, r"\1E\2")
     if "\u2212" in text:
-        yield lambda whole: whole.replace("\u2212", "-")
+        yield lambda cell_text: cell_text.replace("\u2212", "-")
     if (separator := find_thousands_separator(text)) is not None:
         yield partial(strip_thousands, separator=separator)
 

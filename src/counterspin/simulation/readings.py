@@ -19,7 +19,7 @@ from counterspin.campaign.documents import load_document
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse_quantity
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import is_pose, is_reading, sample_count
-from counterspin.campaign.terms import POSITION
+from counterspin.campaign.terms import POSITION_SYMBOL
 from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
@@ -114,7 +114,7 @@ def draw_by_run(readings: Sequence[Reading], generator: np.random.Generator) -> 
 def positioning_uncertainties(campaign: Campaign) -> dict[str, float]:
     """Return symbol -> standard uncertainty of the positioning error, rad."""
     priors = campaign.model.priors.items()
-    return {symbol: prior.u for symbol, prior in priors if symbol.startswith(f"{POSITION}.")}
+    return {symbol: prior.u for symbol, prior in priors if symbol.startswith(f"{POSITION_SYMBOL}.")}
 
 
 def true_machine(campaign: Campaign) -> dict[str, float]:
