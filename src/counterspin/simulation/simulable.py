@@ -154,7 +154,8 @@ def refuse_unsupported(campaign: Campaign) -> None:
         ]
         for key, channel in (("time", recording.time), ("angle", recording.angle)):
             if channel is not None and channel.name and (channel.kind != "numbers"):
-                problems.append(f"{location}.{key}: a simulated record has no missing values")
+                message = "simulated records contain numbers, not time stamps or pulses"
+                problems.append(f"{location}.{key}: {message}")
             elif channel is not None and channel.name and not channel.unit:
                 problems.append(f"{location}.{key}.unit: missing; required to simulate records")
         if recording.time.kind == "rows" and campaign.runs:
