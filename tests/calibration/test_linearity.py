@@ -99,7 +99,7 @@ def test_joint_response_of_sources_is_included(tmp_path):
 
 def test_response_parabola_passes_through_points():
     response = Response(lower_difference=0.3, upper_difference=-0.1)
-    np.testing.assert_allclose(response.excess(np.array([-2.0, 0.0, 2.0])), [0.3, 0.0, -0.1])
+    np.testing.assert_allclose(response.parabola(np.array([-2.0, 0.0, 2.0])), [0.3, 0.0, -0.1])
 
 
 def test_purely_second_order_source_is_drawn():

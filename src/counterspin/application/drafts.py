@@ -75,17 +75,17 @@ def _make_draft(
     contents = _FILE_CACHE.get(
         (*cache_key, *files), files, lambda: read_files(files, given_answers)
     )
-    statements = describe_files(contents)
+    descriptions = describe_files(contents)
     test_answer = given_answers.pop("test", None)
     if make_sensor_question(contents) is not None:
-        return UndecidedDraft.from_contents(contents), None, statements
+        return UndecidedDraft.from_contents(contents), None, descriptions
     given_answers.pop("select", None)
     selected_test = requested_test or next(
         (test for test in TEST_LABELS if test == test_answer), guess_test(contents)
     )
     if selected_test is None:
-        return UndecidedDraft.from_contents(contents), None, statements
-    return make_test_draft(contents, given_answers, selected_test), selected_test, statements
+        return UndecidedDraft.from_contents(contents), None, descriptions
+    return make_test_draft(contents, given_answers, selected_test), selected_test, descriptions
 
 
 def draft_overview(
@@ -95,7 +95,7 @@ def draft_overview(
     test: Test | None = None,
 ) -> DraftOverview:
     """Return the detected contents of files, questions and mistakes."""
-    draft, selected_test, statements = _make_draft(app, names, answers, test)
+    draft, selected_test, descriptions = _make_draft(app, names, answers, test)
     file_guess = draft.common_guess if isinstance(draft, Draft) else None
     questions: list[QuestionEntry] = [
         {
@@ -110,7 +110,7 @@ def draft_overview(
     ]
     return {
         "test": selected_test,
-        "statements": [*statements, *draft.statements],
+        "statements": [*descriptions, *draft.statements],
         "questions": questions,
         "problems": list(draft.problems),
         "file": draft.contents.path.name,

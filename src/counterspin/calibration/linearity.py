@@ -65,7 +65,7 @@ class Response:
         """Larger absolute difference from the linear prediction."""
         return max(abs(self.lower_difference), abs(self.upper_difference))
 
-    def excess(self, deviations: Array) -> Array:
+    def parabola(self, deviations: Array) -> Array:
         """Return the parabola through both differences and zero, shape as given.
 
         deviations: Deviations of the source, in standard uncertainties.
@@ -155,7 +155,7 @@ def assess_linearity(
             for key, (name, value) in estimates.items():
                 prediction = value + sum(
                     sensitivities[key].get(source, 0.0) * shifts[source]
-                    + float(responses[key][source].excess(x))
+                    + float(responses[key][source].parabola(x))
                     for source, x in zip(tested_sources, draws, strict=True)
                 )
                 joint_differences[key] = max(

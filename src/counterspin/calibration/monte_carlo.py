@@ -151,7 +151,7 @@ def draw_errors(
     contributions = {line.source: (line.sensitivity or 0.0) * (line.u or 0.0) for line in lines}
     for source, response in responses.items():
         draws = draw_standardized(distributions.get(source, NORMAL), n_trials, generator)
-        errors += contributions.get(source, 0.0) * draws + response.excess(draws)
+        errors += contributions.get(source, 0.0) * draws + response.parabola(draws)
     for line in lines:
         distribution = distributions.get(line.source)
         if line.source in responses:

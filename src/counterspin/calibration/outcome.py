@@ -39,7 +39,7 @@ from counterspin.inference.joint.budget import kind_of, unknown_u_by_category
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
-from counterspin.inference.noise.components import size_keys
+from counterspin.inference.noise.components import component_keys
 from counterspin.inference.noise.model import Noise
 from counterspin.inference.noise.search import NoiseEstimate
 from counterspin.physics.terms import SHARED_TERMS, TERMS, find_symbol
@@ -238,7 +238,7 @@ def add_static_uncertainty(
 ) -> dict[str, NoiseLine]:
     """Return noise lines with the uncertainties of components from the static record."""
     updated_lines = dict(lines)
-    keys = size_keys(observable) if noise.covariance else {}
+    keys = component_keys(observable) if noise.covariance else {}
     for index, key in enumerate(keys.values()):
         variance, line = noise.covariance[index][index], lines.get(key)
         if variance > 0.0 and line is not None and not line.estimated and campaign.noise:
@@ -252,7 +252,7 @@ def record_noise_lines(
 ) -> dict[str, NoiseLine]:
     """Return the stated or estimated noise of records, by component."""
     lines = {}
-    for index, (component, key) in enumerate(size_keys(observable).items()):
+    for index, (component, key) in enumerate(component_keys(observable).items()):
         value = float(getattr(noise, component))
         is_estimated = components is not None and component in components.estimated
         is_dropped = components is not None and component in components.dropped

@@ -15,7 +15,7 @@ from counterspin.campaign.field_types import ESTIMATE
 from counterspin.campaign.settings import NOISE_UNITS, NoiseSettings, StatedNoise
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.inference.noise.components import BIAS_COMPONENTS, size_keys
+from counterspin.inference.noise.components import BIAS_COMPONENTS, component_keys
 from counterspin.inference.noise.static_noise import (
     StaticNoise,
     StaticSignal,
@@ -81,7 +81,7 @@ def complete_noise_sizes(campaign: Campaign, noise: NoiseSettings) -> dict[str, 
     noise_by_name = resolve_noise(replace(campaign, noise=noise), 0.0)
     sizes = _noise_sizes(noise)
     for name, accelerometer in campaign.accelerometers.items():
-        for key in set(size_keys(accelerometer.observable).values()) - noise.model_fields_set:
+        for key in set(component_keys(accelerometer.observable).values()) - noise.model_fields_set:
             sizes[key] = max(sizes[key], getattr(noise_by_name[name].sizes, key))
     return sizes
 
@@ -99,7 +99,7 @@ def _resolve_accelerometer(
         return ResolvedNoise(noise)
     covariance = static_noise.covariance.copy()
     sizes: dict[str, float | str] = {}
-    for index, (component, key) in enumerate(size_keys(observable).items()):
+    for index, (component, key) in enumerate(component_keys(observable).items()):
         # The first component of a specific force, velocity quantisation, averages out.
         if key == "specific_force" or key in noise.model_fields_set:
             covariance[index], covariance[:, index] = 0.0, 0.0

@@ -115,15 +115,15 @@ def _verify_with_key(root: Any, key: Any) -> Any:
     signxml = _import_signxml()
     # signxml accepts only certificates that are valid today. The validity of the signer's
     # certificate is checked separately, so the key is passed in a temporary certificate.
-    current_certificate = _make_current_certificate(key)
+    self_signed_certificate = _make_self_signed_certificate(key)
     # The location matters: a signature deeper in the document could cover other content.
     configuration = signxml.SignatureConfiguration(location="./", expect_references=1)
     return signxml.XMLVerifier().verify(
-        root, x509_cert=current_certificate, expect_config=configuration
+        root, x509_cert=self_signed_certificate, expect_config=configuration
     )
 
 
-def _make_current_certificate(key: Any) -> Any:
+def _make_self_signed_certificate(key: Any) -> Any:
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec

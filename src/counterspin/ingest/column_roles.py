@@ -288,8 +288,8 @@ def _choose_column(
     guess: Callable[[Sequence[FileColumn]], FileColumn | None],
 ) -> FileColumn | None:
     """Return the column of an answer, or else the guessed one."""
-    answered_column = next((column for column in columns if column.name == answer), None)
-    return answered_column if answer == NO_COLUMN or answered_column is not None else guess(columns)
+    selected_column = next((column for column in columns if column.name == answer), None)
+    return selected_column if answer == NO_COLUMN or selected_column is not None else guess(columns)
 
 
 def _find_temperature(

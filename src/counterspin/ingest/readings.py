@@ -209,10 +209,10 @@ def assign_roles(
         roles = {name: "reading" if role == "uncertainty" else role for name, role in roles.items()}
     roles |= {name: answers[f"{name} is"] for name in roles if f"{name} is" in answers}
     for unique_role, likely_column in unique_roles.items():
-        answered_column = next(
+        selected_column = next(
             (name for name in roles if answers.get(f"{name} is") == unique_role), likely_column
         )
-        column_name = answers.get(unique_role, answered_column)
+        column_name = answers.get(unique_role, selected_column)
         roles = {name: UNUSED_ROLE if role == unique_role else role for name, role in roles.items()}
         if column_name in roles:
             roles[column_name] = unique_role

@@ -92,7 +92,7 @@ def _check_record(record: object, campaign: Campaign, run_name: str | None) -> C
             expected=[],
             why_not="the record cannot be used in its present form",
         )
-    other_names, current_values = _check_with_others(campaign, checked_run, single_check.fit)
+    other_names, current_values = _fit_with_other_records(campaign, checked_run, single_check.fit)
     expected_values, missing_reason = _forecast_estimates(campaign, checked_run, single_check)
     return CheckedRun(
         run=single_check.state,
@@ -205,7 +205,7 @@ def _check_single(campaign: Campaign, run: RecordedRun) -> _SingleCheck:
     return _SingleCheck(state, remarks, is_good, fit, observed_run)
 
 
-def _check_with_others(
+def _fit_with_other_records(
     campaign: Campaign, run: RecordedRun, fit: CurrentFit | None
 ) -> tuple[list[str], list[CurrentEstimate]]:
     """Return the names of other existing records, and the coefficients from all records.

@@ -19,7 +19,7 @@ from counterspin.campaign.static_noise import static_signals
 from counterspin.errors import CampaignError, RecordError, UsageError, error_code
 from counterspin.inference.noise.components import (
     BIAS_COMPONENTS_BY_KEY,
-    size_keys,
+    component_keys,
 )
 from counterspin.inference.noise.spectrum import SpectralLine, allan_values, spectrum
 from counterspin.inference.noise.static_noise import (
@@ -355,7 +355,7 @@ def _estimate_noise(record: StaticRecord, spindle_rate: float | None) -> SignalN
     signal, segments, analysis = record.signal, record.segments, record.analysis
     noise_estimate, observable_type, step = analysis.noise, analysis.kind, analysis.step
     observable = next(name for name, order in observation.ORDERS.items() if order == signal.order)
-    size_keys_by_name = size_keys(observable if signal.order else "quantisation")
+    size_keys_by_name = component_keys(observable if signal.order else "quantisation")
     units = NOISE_UNITS if signal.order else NOISE_UNITS | {"quantisation": "m/s"}
     sizes = {
         size_keys_by_name[name]: NoiseSize(

@@ -29,7 +29,7 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.series import ResidualSeries, TimestampErrors
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
-from counterspin.inference.noise.components import size_keys
+from counterspin.inference.noise.components import component_keys
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, forecast_angle_error
@@ -172,7 +172,7 @@ def _require_forecast_data(
         problems.append("simulation.sampling_rate: this entry is missing; a prediction requires it")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
         noise = _resolve_noise_sizes(campaign, name)
-        for key in (*size_keys(accelerometer.observable).values(), "quantisation", "timing"):
+        for key in (*component_keys(accelerometer.observable).values(), "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
                 problems.append(
                     f"noise.{key}: a prediction requires a value, because the noise cannot be "

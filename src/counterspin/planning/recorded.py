@@ -24,7 +24,7 @@ from counterspin.campaign.static_noise import resolve_noise
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.noise.components import size_keys
+from counterspin.inference.noise.components import component_keys
 from counterspin.inference.noise.model import Noise
 from counterspin.planning.forecast import forecast
 from counterspin.readings.fit import solve_readings
@@ -121,7 +121,7 @@ def apply_observations(
     )
     max_sizes: dict[str, float] = {}
     for name, noise_sizes in noise.items():
-        for component, key in size_keys(campaign.accelerometers[name].observable).items():
+        for component, key in component_keys(campaign.accelerometers[name].observable).items():
             max_sizes[key] = max(getattr(noise_sizes, component), max_sizes.get(key, 0.0))
     angle_rms = [run.rotation.rms for run in observed_runs if run.rotation is not None]
     stated_noise = campaign.noise or NoiseSettings()

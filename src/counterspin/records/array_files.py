@@ -59,7 +59,7 @@ class ArrayFile(ColumnFile):
     _single_values: list[str]  # names of arrays with a single value
 
     @abstractmethod
-    def _arrays(self, names: Sequence[str]) -> AbstractContextManager[Mapping[str, Any]]:
+    def _open_arrays(self, names: Sequence[str]) -> AbstractContextManager[Mapping[str, Any]]:
         """Open arrays, which have a dtype and a shape, and can be sliced."""
 
     @abstractmethod
@@ -161,7 +161,7 @@ class ArrayFile(ColumnFile):
         self._check_size(8 * sum(lengths.values()))
 
     def _batches(self, names: Sequence[str]) -> Iterator[Columns]:
-        with self._arrays(names) as arrays:
+        with self._open_arrays(names) as arrays:
             for name, array in arrays.items():
                 if name in self.timestamp_columns and array.dtype.kind != "M":
                     raise RecordError(
@@ -258,7 +258,7 @@ class Hdf5File(ArrayFile):
             return shape
 
     @contextmanager
-    def _arrays(self, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
+    def _open_arrays(self, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
         import h5py
 
         with h5py.File(self.path, "r") as file:
@@ -394,7 +394,7 @@ class MatlabFile(ArrayFile):
         return shape
 
     @contextmanager
-    def _arrays(self, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
+    def _open_arrays(self, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
         from scipy.io import loadmat
 
         # The format does not allow partial reading of a variable.

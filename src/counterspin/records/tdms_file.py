@@ -99,7 +99,7 @@ class TdmsFile(ArrayFile):
         return self._shapes[self._paths[name]]
 
     @contextmanager
-    def _arrays(self, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
+    def _open_arrays(self, names: Sequence[str]) -> Iterator[Mapping[str, Any]]:
         with self._open() as file:
             arrays = {}
             for name in names:

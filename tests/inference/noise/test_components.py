@@ -11,7 +11,7 @@ from counterspin.inference.noise.components import (
     BIAS_COMPONENTS_BY_KEY,
     COMPONENTS,
     Sampling,
-    size_keys,
+    component_keys,
 )
 from counterspin.inference.noise.model import Noise
 
@@ -19,7 +19,7 @@ from counterspin.inference.noise.model import Noise
 def test_component_is_field_of_noise_and_key_of_campaign():
     assert set(COMPONENTS) < {field.name for field in fields(Noise)}
     for observable in OBSERVABLES:
-        keys = size_keys(observable)
+        keys = component_keys(observable)
         assert tuple(keys) == COMPONENTS
         assert set(keys.values()) <= set(StatedNoise.model_fields)
         assert set(BIAS_COMPONENTS_BY_KEY) < set(keys.values()) - {observable}

@@ -243,7 +243,7 @@ def sampled_densities(angle: Array, step: float, sampling: Sampling) -> Array:
     return np.stack([row.sampled_density(angle, step, sampling) for row in rows])
 
 
-def size_keys(observable: str) -> dict[str, str]:
+def component_keys(observable: str) -> dict[str, str]:
     """Return the key of the size of each component of a record, by component."""
     return {name: row.key or observable for name, row in NOISE_COMPONENTS.items()}
 

@@ -41,7 +41,7 @@ from counterspin.inference.noise.bias_instability import (
     coefficient_root,
     integrated_cosines,
 )
-from counterspin.inference.noise.components import BIAS_COMPONENTS, COMPONENTS, size_keys
+from counterspin.inference.noise.components import BIAS_COMPONENTS, COMPONENTS, component_keys
 from counterspin.inference.noise.riccati import BlockSpans, filter_walk
 
 DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
@@ -90,7 +90,7 @@ class Noise:
         sizes: Key of a description (`size_keys` or ``quantisation``) -> size.
         """
         quantisation = sizes["quantisation"] if observable == "displacement" else 0.0
-        components = {name: sizes[key] for name, key in size_keys(observable).items()}
+        components = {name: sizes[key] for name, key in component_keys(observable).items()}
         return cls(quantisation=quantisation, **components)
 
     @property

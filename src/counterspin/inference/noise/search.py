@@ -250,9 +250,13 @@ class NoiseModelCandidate:
     def _initial_logs(self, white_maximum: Maximum | None) -> Array:
         """Return the start of the search; without a base, from a scan of the random walk."""
         initial_variances = _initial_variances(self.likelihood, self.noise, white_maximum)
-        initial_logs = self._logs(initial_variances)
-        if "random_walk" not in self.names or white_maximum is not None or not initial_logs.size:
-            return initial_logs
+        initial_log_variances = self._logs(initial_variances)
+        if (
+            "random_walk" not in self.names
+            or white_maximum is not None
+            or not initial_log_variances.size
+        ):
+            return initial_log_variances
         # From undetectable walks to walks that hide all white noise.
         log_steps = np.arange(-_SCAN_STEP, self.likelihood.walk_range, _SCAN_STEP)
         points = [
