@@ -121,7 +121,8 @@ class Workers:
             return self
         warning_text = (
             f"`workers`: {self.processes} were requested, but counterspin starts only "
-            f"{max_processes}, because more would not help with the {available_cores()} processor "
+            f"{max_processes}, because more would not be useful with the {available_cores()} "
+            "processor "
             "cores available"
         )
         warnings.warn(CounterspinWarning(warning_text, code="too-many-workers"), stacklevel=3)

@@ -111,7 +111,7 @@ def test_record_outside_folder_is_not_read(page, folder, record):
     body = page.get("/api/campaign", params={"name": "three"}).json()
     assert "outside the served folder" in body["mistakes"][
         0
-    ] or "the names of record files end" in str(body)
+    ] or "the name of a record file must end" in str(body)
     assert page.post("/api/jobs", json={"name": "three"}).status_code == 422
 
 

@@ -152,7 +152,7 @@ def test_campaign_that_kills_workers_fails_without_stopping_others(folders, tmp_
     assert status == 1
     assert "1 of 3 campaigns " in shown.err
     campaigns = json.loads(kept.read_text(encoding="utf-8"))["campaigns"]
-    assert "its process crashed" in campaigns[several[1]]["error"]
+    assert "the process of this campaign crashed" in campaigns[several[1]]["error"]
     assert all("accelerometers" in campaigns[several[i]] for i in (0, 2))
 
 

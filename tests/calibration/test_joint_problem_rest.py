@@ -238,5 +238,5 @@ def test_unusable_record_at_rest_is_named_with_key(folder, tmp_path):
 def test_rejects_invalid_record_at_rest(folder):
     with raises("conflicting-keys", "noise.from:"):
         describe_noise(folder, **{"from": "slow.csv"})
-    with pytest.raises(CampaignError, match=r"noise\.from: .* is not a supported file type"):
+    with pytest.raises(CampaignError, match=r"noise\.from: .* does not have a supported file type"):
         describe_noise(folder, **{"from": "rest.doc"})

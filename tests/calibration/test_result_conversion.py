@@ -73,7 +73,7 @@ def test_coefficients_are_accessed_by_name(result):
     names = result._ipython_key_completions_()
     assert [result[name] for name in names]
     assert {"Qx.K_F", "Qx.K_II", "slow.platform.tilt.north"} <= set(names)
-    with pytest.raises(KeyError, match=r"Qx\.K_X; there are Qx\.K_F"):
+    with pytest.raises(KeyError, match=r"Qx\.K_X; the terms are Qx\.K_F"):
         result["Qx.K_X"]
 
 
@@ -282,14 +282,14 @@ def test_plots_are_drawn_on_given_axes(result, plot, pictures):
 
 
 def test_unknown_coefficient_error_lists_names(result):
-    with pytest.raises(KeyError, match=r"Qx\.K_IX; there are .*Qx\.K_II.*slow\.platform\.tilt"):
+    with pytest.raises(KeyError, match=r"Qx\.K_IX; the terms are .*Qx\.K_II.*slow\.platform\.tilt"):
         result.coefficient("Qx.K_IX")
 
 
 def test_plot_without_data_raises(result):
     with pytest.raises(CounterspinError, match="does not contain"):
         result.plot_budget("Qx", "K_III")
-    with pytest.raises(KeyError, match="there are Qx, Qy"):
+    with pytest.raises(KeyError, match="the accelerometers are Qx, Qy"):
         result.plot_residuals("Qz")
 
 

@@ -221,7 +221,11 @@ EXACT_PATHS = [
     ('"45 deg"', "48.1", 'site.latitude: has no unit; write "48.1 deg" (an angle:'),
     ('"9.8 ± 1e-5 m/s^2"', "9.8", 'site.gravity: has no unit; write "9.8 m/s^2"'),
     ('"9.8 ± 1e-5 m/s^2"', '"-9.8 m/s^2"', "site.gravity: must be greater than zero"),
-    ('"9.8 ± 1e-5 m/s^2"', '"980 m/s^2"', "site.gravity: 980 m/s^2 cannot be gravity on Earth"),
+    (
+        '"9.8 ± 1e-5 m/s^2"',
+        '"980 m/s^2"',
+        "site.gravity: 980 m/s^2 is not a possible value of gravity on Earth",
+    ),
     ('"2.5 ± 1e-5 m"', '"0 m"', "centrifuge.radius: must be greater than zero"),
     ('"2.5 ± 1e-5 m"', '"-2.5 m"', "centrifuge.radius: must be greater than zero"),
     ('"2.5 ± 1e-5 m"', '"2.5"', "centrifuge.radius: '2.5' has no unit; a length is required"),
@@ -324,8 +328,8 @@ EXACT_PATHS = [
         "run2.parquet",
         "run2.doc",
         (
-            'runs[1].record: "run2.doc" is not a supported file type; the '
-            "names of record files end in .csv,"
+            'runs[1].record: "run2.doc" does not have a supported file type; the '
+            "name of a record file must end in .csv,"
         ),
     ),
     ('"run2"', '""', "runs[1].name: must not be empty"),

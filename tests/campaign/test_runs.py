@@ -112,7 +112,11 @@ def test_file_may_contain_run_per_table(tmp_path, key):
             "time = { sampling_rate = '9 Hz', unit = 's' }",
             "records.time: a unit applies only to",
         ),
-        (ANGLE, "angle = { column = 'a', unit = 'count' }", "records.angle: counts need per_rev"),
+        (
+            ANGLE,
+            "angle = { column = 'a', unit = 'count' }",
+            "records.angle: counts require per_rev",
+        ),
         (ANGLE, "angle = { column = 'a', unit = 's' }", "records.angle.unit: 's' is not a unit of"),
         (ANGLE, "angle = { column = 'a', zero = 'up' }", "records.angle.zero: 'up' is not a q"),
         (
@@ -151,7 +155,7 @@ def test_errors_name_key(tmp_path, old, new, words):
         (
             TIME,
             "time = { column = 't', unit = 'iso' }",
-            "records.time: simulated records contain n",
+            "records.time: a simulated record has no missing values",
         ),
         (ANGLE, "angle = { column = 'a' }", "records.angle.unit: missing"),
         ('name = "slow"', 'name = "slow"\nrecords = { decimal = "." }', r'"slow", records.decimal'),

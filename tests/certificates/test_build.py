@@ -454,7 +454,7 @@ def test_procedure_and_customer_data_are_stated(tmp_path):
         "Prior for Qx: K_I (scale factor), standard uncertainty 5.0e-6 g/g, supplied by the "
         "customer."
     )
-    assert "The laboratory is not responsible for them" in supplied[0].text
+    assert "The laboratory is not responsible for these data" in supplied[0].text
 
 
 def test_uncertainty_is_at_least_cmc(tmp_path):

@@ -83,7 +83,7 @@ def test_draft_is_not_entered(ledger_folder):
 def test_wrong_usage_and_partial_entry_are_reported(ledger_folder, capsys):
     assert cli.main(["ledger", "add", "ledger.jsonl", "r.json"]) == 2
     assert cli.main(["ledger", "verify", "ledger.jsonl", "r.json"]) == 2
-    assert "verify accepts no result files" in capsys.readouterr().err
+    assert "verify does not accept result files" in capsys.readouterr().err
     entry_options = ("--who", "B", "--why", "w")
     assert cli.main(["ledger", "add", "ledger.jsonl", "none.json", *entry_options]) == 1
     assert not (ledger_folder / "ledger.jsonl").exists()

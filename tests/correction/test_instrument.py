@@ -84,7 +84,7 @@ def test_correction_inverts_prediction(result):
 
 
 def test_rejects_invalid_prediction_input(result):
-    with pytest.raises(KeyError, match="Qz; there are Qx"):
+    with pytest.raises(KeyError, match="Qz; the accelerometers are Qx"):
         result.predict("Qz", 1.0)
     for wrong in ([[1.0]], [], [np.nan]):
         with pytest.raises(ValueError, match="finite numbers, or arrays"):

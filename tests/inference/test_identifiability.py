@@ -378,7 +378,7 @@ class TestRules:
 
     def test_invalid_arguments_raise(self):
         block = reduce_block(np.eye(2), np.ones(2))
-        with pytest.raises(ValueError, match="solved with limits"):
+        with pytest.raises(ValueError, match="computed with limits"):
             assess(solve([block]), ["a", "b"])
         with pytest.raises(ValueError, match="1 symbols for 2 unknowns"):
             assess(solve([block], limits=[1.0, 1.0]), ["a"])

@@ -84,7 +84,7 @@ def test_text_column_is_skipped_and_repeated_header_raises(tmp_path):
     rows[30] = "sensor,time_s,a_m"
     (tmp_path / "a.csv").write_text("\n".join([rows[30], *rows, ""]))
     with pytest.raises(
-        RecordError, match=r"a\.csv, line 32: .* The column names occur more than once"
+        RecordError, match=r"a\.csv, line 32: .* The header row occurs more than once"
     ):
         read_contents(tmp_path / "a.csv")
 

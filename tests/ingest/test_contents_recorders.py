@@ -158,7 +158,10 @@ def test_header_of_second_run_raises_with_line(tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(b"\xd0\xcf\x11\xe0", "this workbook is old"), (b"<html><table>", "a web page or XML")],
+    [
+        (b"\xd0\xcf\x11\xe0", "this workbook"),
+        (b"<html><table>", "a web page or an XML spreadsheet"),
+    ],
 )
 def test_old_workbook_format_raises_with_remedy(tmp_path, content, message):
     (tmp_path / "run.xls").write_bytes(content + bytes(600))

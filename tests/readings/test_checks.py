@@ -205,7 +205,10 @@ def test_steady_rotation_of_positions_is_named(tmp_path, u):
     values = simulate_readings(test, np.random.default_rng(19), SIGMA, truth=LEVEL)
     values -= 4e-5 * np.linspace(0.0, 1.0, 24) * np.sin(np.radians(angles))
     (finding,) = lack_of_fit_findings(calibrate_readings(tmp_path, angles.tolist(), values, u=u))
-    assert "have the pattern of positions that rotate more and more with the order" in finding.text
+    assert (
+        "have the pattern of a rotation of the positions that increases with the order"
+        in finding.text
+    )
 
 
 @pytest.mark.parametrize("u", [None, SIGMA], ids=["noise estimated", "noise stated"])

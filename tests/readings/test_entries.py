@@ -217,8 +217,8 @@ SLIPS = {
         + RUN.replace('reading = "1.082532 ± 2e-6 mA"', 'record = "a.csv"')
         + 'records = { delimiter = ";" }\n',
         "runs[0].records: applies to a run with a record of a double turntable; omit it. "
-        "[records] applies to all records on the arm and at rest: write them with the same columns "
-        "and units",
+        "[records] applies to all records on the arm and at rest: all of them must have "
+        "the same columns and units",
     ),
     "an attitude of no words": (
         HEAD + RUN.replace("30 ± 0.001 deg about north", ""),
@@ -271,9 +271,7 @@ def test_arm_records_have_specific_force_column(tmp_path):
     assert (a.observable, a.channel.name, a.force.name) == ("displacement", "m", "i")
     assert a.force.factor == pytest.approx(9.8 / 1.25)
     (line,) = read_problems(tmp_path, HEAD + displacement + ARM + TURNTABLE)
-    assert (
-        "has no specific_force, which names the column of its records on an arm or at rest" in line
-    )
+    assert "has no specific_force; this key is required for records on an arm or at rest" in line
 
 
 def test_path_errors_are_considered_beside_static_readings(tmp_path):

@@ -97,8 +97,8 @@ def write_inner_link(file, values):
 @pytest.mark.parametrize(
     ("signal", "words"),
     [
-        (write_external_dataset, "are in another file"),
-        (write_virtual_dataset, "are in another file"),
+        (write_external_dataset, "are stored in another file"),
+        (write_virtual_dataset, "are stored in another file"),
         (write_external_link, f"'{SIGNAL}' is a link"),
         (write_inner_link, f"'{SIGNAL}' is a link"),
     ],

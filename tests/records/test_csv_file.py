@@ -85,7 +85,7 @@ def test_file_without_header_raises(tmp_path):
     path = write_record(tmp_path / "run.log", format_lines(simulate_columns())[1:])
     message = read_error_message(path)
     assert "the file has no column" in message
-    assert "first numbers, line 1," in message
+    assert "first numbers (line 1)" in message
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
     record = read_written_record(path, time=ColumnSpec("column 1"), **numbered)
     np.testing.assert_array_equal(record.signals["Qx"], simulate_columns()[SIGNAL])
@@ -192,7 +192,7 @@ def test_missing_cells_of_short_lines_are_empty(tmp_path, line):
 def test_overlong_line_raises(tmp_path):
     text = format_lines(simulate_columns())
     text[500] = "1" * 200_000
-    assert "line 501: the line has more than" in read_error_message(
+    assert "line 501: the line is longer than" in read_error_message(
         write_record(tmp_path / "run.csv", text)
     )
 

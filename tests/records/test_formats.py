@@ -28,7 +28,7 @@ from counterspin.records.record import ColumnSpec
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("run.csv.gz", "the file is compressed; unpack it, and use the extracted file."),
+        ("run.csv.gz", "the file is compressed; unpack it and use the extracted file."),
         ("runs.ZIP", "the file is compressed; unpack it"),
         (
             "run.doc",
@@ -42,7 +42,7 @@ from counterspin.records.record import ColumnSpec
         ),
         ("run.npz", "NumPy's binary format is not supported; write an array as text: savetxt("),
         ("run.json", "not a data table; export the data as CSV with one line per sample."),
-        ("run.pkl", "the byte layout of this file is unknown; export text,"),
+        ("run.pkl", "the byte layout of this file is unknown; export a text file,"),
         ("run.odd", "the name of a record file must end in one of .csv, .txt,"),
     ],
 )

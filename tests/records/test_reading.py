@@ -99,7 +99,7 @@ def test_values_repeated_by_faster_log_are_used_once(tmp_path, rows, step):
     record = read_written_record(write_record(tmp_path / "run.csv", columns))
     part = 1.0 - len(np.unique(first)) / len(first)
     text = (
-        f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of its values; repeated values are "
+        f"column '{SIGNAL}' repeats {100.0 * part:.3g} % of the values; the repetitions are "
         "not used"
     )
     assert text in record.report.format_description
@@ -139,7 +139,7 @@ def test_isolated_rows_are_omitted(tmp_path, end, dense):
     deletes = {name: np.delete(values, lone) for name, values in columns.items()}
     without = read_written_record(write_record(tmp_path / "rest.parquet", deletes))
     assert record.report.isolated == len(lone)
-    assert "from the others by a gap" in " ".join(record.report.notes())
+    assert "from the other rows by a gap" in " ".join(record.report.notes())
     assert record.report.rows == n
     np.testing.assert_array_equal(record.time, without.time)
     np.testing.assert_array_equal(record.signals["Qx"], without.signals["Qx"])
@@ -173,7 +173,7 @@ def test_revolutions_are_limited_by_memory(tmp_path, revolutions, refused):
 def test_too_few_rows_per_revolution_raise(tmp_path):
     columns = simulate_columns(n=100, step=2.0 * 30.01)
     options = {"swings": {}, "angle": None}
-    assert "too few to follow" in read_error_message(
+    assert "too few to track" in read_error_message(
         write_record(tmp_path / "run.csv", columns), **options
     )
 

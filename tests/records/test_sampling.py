@@ -111,7 +111,7 @@ def test_repeated_stamps_with_lost_samples_raise():
     row = np.arange(20000)
     keep = np.random.default_rng(3).random(20000) > 0.2
     time = np.floor(row / 2) * 2 * STEP
-    with pytest.raises(ValueError, match="rows cannot be counted"):
+    with pytest.raises(ValueError, match="cannot be calculated from the row count"):
         SensorSamples.of(time[keep], white_noise(20000)[keep])
 
 

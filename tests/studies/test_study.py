@@ -305,7 +305,7 @@ def two_stage_part(folder, noise):
     [
         ('acceleration = "1e-5 g/Hz^0.5"', "the noise assumed in the analysis is not white"),
         ('acceleration = "estimate"', "the noise of the accelerometer must be estimated"),
-        ('timing = "1e-3 s"', "recorded time assumed in the analysis"),
+        ('timing = "1e-3 s"', "time-stamp jitter assumed in the analysis"),
     ],
 )
 def test_coloured_noise_requires_full_records(tmp_path, noise, reason):

@@ -242,8 +242,8 @@ def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
         )
     if default_symbols:
         lines.append(
-            "The budgets contain the default standard uncertainty of each source without a stated "
-            f"uncertainty: {', '.join(default_symbols)}."
+            "For these sources without a stated uncertainty, the budgets contain the default "
+            f"standard uncertainty: {', '.join(default_symbols)}."
         )
     return lines
 

@@ -48,8 +48,8 @@ def applied_blocks(result: AppliedAcceleration) -> Iterator[Block]:
     if default_sources:
         symbol_list = ", ".join(source.symbol for source in default_sources)
         yield Paragraph(
-            "The budgets contain the default standard uncertainty of each source without a stated "
-            f"uncertainty: {symbol_list}.",
+            "For these sources without a stated uncertainty, the budgets contain the default "
+            f"standard uncertainty: {symbol_list}.",
             "warning",
         )
     yield Paragraph(

@@ -341,7 +341,8 @@ class LiveViews:
         if view is None:
             if len(self._views) >= _MAX_VIEWS:
                 raise RequestError(
-                    "too many campaigns are being monitored at once; close another Live page"
+                    "too many campaigns are being monitored at once; close one of the other Live "
+                    "pages"
                 )
             view = self._views[key] = _View(Worker(run_live_view, *key))
             if len(self._views) == 1:

@@ -293,7 +293,7 @@ def serve(
             print_line(f"  {link}")
 
         credentials = Credentials(listener.getsockname()[1], on_token_used=print_link)
-        print_line(f"The folder {folder} is served to this machine only. Ctrl-C stops the server.")
+        print_line(f"The folder {folder} is served only to this machine. Ctrl-C stops the server.")
         print_line(f"  {credentials.link}")
         if browser:
             browser_timer = threading.Timer(

@@ -146,8 +146,8 @@ def _rate_findings(rates: Mapping[str, tuple[float, float]]) -> list[Finding]:
         return findings
     text = (
         f"In every run, the spindle turned {100 * abs(max_deviation):.3f} % "
-        f"{'faster' if max_deviation > 0.0 else 'slower'} than stated. Because the ratio is the "
-        "same in all runs, either the recorder clock or the stated rates must be wrong by this "
+        f"{'faster' if max_deviation > 0.0 else 'slower'} than stated. The deviation is the same "
+        "in all runs, so either the recorder clock or the stated rates must be wrong by this "
         "amount. The fit uses the recorded times and rates."
     )
     magnitude = abs(max_deviation)

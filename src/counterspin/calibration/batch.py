@@ -110,7 +110,10 @@ def calibrate_many(
             # Retry interrupted campaigns one by one, so that a crash affects no other campaign.
             for index in run_pool(indices, workers.capped().processes):
                 if run_pool([index], 1):
-                    reason = "its process crashed twice, possibly because it ran out of memory"
+                    reason = (
+                        "the process of this campaign crashed twice, possibly because it "
+                        "ran out of memory"
+                    )
                     record_outcome(index, FailedCampaign(error=reason))
         except CounterspinError as error:
             # The cluster is lost. Keep the finished outcomes.

@@ -95,7 +95,7 @@ def parse_options(arguments: Sequence[str]) -> tuple[Method, TwoStageOptions, tu
         else:
             raise CampaignError(
                 "the options recorded in the result",
-                [f"{argument}: this version does not have this option"],
+                [f"{argument}: this version has no such option"],
                 code="newer-version",
             )
     return method, TwoStageOptions(**option_values), tuple(without)

@@ -185,7 +185,7 @@ class Result(ReportableResult):
         known_names = [
             f"{owner}.{symbol}" for owner, coefficients in owners.items() for symbol in coefficients
         ]
-        raise KeyError(f"{name}; there are {', '.join([*known_names, *self.platform])}")
+        raise KeyError(f"{name}; the terms are {', '.join([*known_names, *self.platform])}")
 
     def __getitem__(self, name: str) -> Coefficient:
         """Return a coefficient by its whole name: ``result["Qx.K_II"]``; as `coefficient`."""
@@ -383,7 +383,7 @@ class Result(ReportableResult):
         """Return the name of an accelerometer; None: the first one."""
         name = accelerometer or next(iter(self.accelerometers))
         if name not in self.accelerometers:
-            raise KeyError(f"{name}; there are {', '.join(self.accelerometers)}")
+            raise KeyError(f"{name}; the accelerometers are {', '.join(self.accelerometers)}")
         return name
 
     def _draw(self, pictures: Sequence[Picture], axes: Any) -> list[Any]:

@@ -133,7 +133,7 @@ def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> 
     if accelerometer.correlation:
         yield from matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
     if accelerometer.what_if is not None and not accelerometer.what_if.is_whole:
-        yield f"the matrices of what_if of {name} do not match its names"
+        yield f"the matrices of what_if of {name} do not match the names in it"
     for run, trace in accelerometer.traces.items():
         yield from _trace_faults(f"{name} in {run}", trace)
     if accelerometer.observable not in (None, *ORDERS):

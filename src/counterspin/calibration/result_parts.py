@@ -91,7 +91,7 @@ class Coefficient(ResultPart):
         coverage: Coverage probability, between 0 and 1.
         """
         if not 0.0 < coverage < 1.0:
-            raise ValueError(f"a coverage probability lies between 0 and 1; got {coverage}")
+            raise ValueError(f"a coverage probability must be between 0 and 1; got {coverage}")
         value, u = self._require_value()
         half_width = expanded_uncertainty(u, self.dof, coverage)
         return value - half_width, value + half_width
@@ -115,7 +115,8 @@ class Coefficient(ResultPart):
         stated_gravity = self._gravity if gravity is None else StatedGravity(gravity)
         if stated_gravity is None:
             raise ValueError(
-                "this coefficient does not belong to a result; give the `gravity` of its unit"
+                "this coefficient does not belong to a result; give the value of g in its unit "
+                "(`gravity`)"
             )
         return convert_to_si(*self._require_value(), self.unit, self.dof, stated_gravity)
 

@@ -158,7 +158,7 @@ class Accelerometer(SettingsSection):
         "prior of K_F", "0.00503 ± 2e-6 g", None, absent="unknown"
     )
     scale_factor: Annotated[Quantity, uncertain_quantity("g/g")] | None = key_field(
-        "prior of K_I; the nominal value is 1, so an error of +1000 ppm is `1.001 g/g`",
+        "prior of K_I; the nominal value is 1, so an error of +1000 ppm is written `1.001 g/g`",
         "1.00197 ± 5e-6 g/g",
         None,
         absent="unknown",
@@ -182,7 +182,7 @@ class Accelerometer(SettingsSection):
         {"column": "f", "unit": "g"},
         None,
         absent="exactly one recorded quantity is required",
-        kind="column in m/s^2, g or `output`",
+        kind="column in m/s^2, g or the unit of `output`",
     )
 
     _name: str = PrivateAttr()
@@ -455,7 +455,7 @@ class AccelerometersReader:
         if table.specific_force is None:
             self.problems.add(
                 ("accelerometers", name),
-                "has no specific_force, which names the column of its records on an arm or at rest",
+                "has no specific_force; this key is required for records on an arm or at rest",
                 "missing-key",
             )
             return None

@@ -142,11 +142,11 @@ class AngleChannel(_Channel):
         is_counted = self.unit is not None and is_convertible(self.unit, "count")
         if is_counted and self.per_revolution is None:
             raise InputError(
-                "counts need per_revolution, the number of counts per revolution", "missing-key"
+                "counts require per_revolution, the number of counts per revolution", "missing-key"
             )
         if self.per_revolution is not None and not (is_counted or self.pulses):
             raise InputError(
-                'per_revolution belongs to pulses, or to unit = "count"', "conflicting-keys"
+                'per_revolution applies only to pulses and to unit = "count"', "conflicting-keys"
             )
         return self
 

@@ -203,7 +203,7 @@ def _unusable_table_ratio(
         if not run.turns_in_space:
             continue
         path = ("runs", index, "table_ratio")
-        reason = "turns the instrument in space"
+        reason = "rotates the instrument in space"
         if centrifuge is not None and not centrifuge.strapped:
             yield path, f"{reason} with the table; write strapped = true in [centrifuge]"
         other_observables = sorted(
@@ -222,7 +222,7 @@ def _unusable_table_ratio(
             yield (
                 path,
                 f"is larger than {_MAX_RATIO_WITH_RESPONSE}; counterspin does not calculate "
-                "the frequency response for force harmonics that high",
+                "the frequency response at such high harmonics of the force",
             )
         recording = run.recording or records
         if recording is not None and recording.angle is None:
@@ -271,7 +271,8 @@ def _invalid_accelerometer_names(tables: Mapping[str, Any]) -> Mistakes:
     for name in tables:
         if name in TRUTH_TABLES or not _NAME_PATTERN.fullmatch(name):
             message = (
-                "cannot be the name of an accelerometer; use letters, digits, - and _, but none of"
+                "cannot be the name of an accelerometer; use letters, digits, - and _, but not "
+                "one of the names"
             )
             message += f" {', '.join(TRUTH_TABLES)}"
             yield ("accelerometers", name), Problem(message, "invalid-name")

@@ -69,7 +69,7 @@ def read_correlations(
         problems.add(
             _KEY_PATH,
             f"no joint distribution can have these correlations: {names}. Their matrix is not "
-            "positive definite; reduce a correlation, or check its sign",
+            "positive definite; reduce a correlation, or check the signs",
             "invalid-correlation",
         )
         return {}
@@ -130,7 +130,8 @@ def _check_correlatable(
         )
     if symbol in considered:
         raise InputError(
-            f"{symbol} is in model.hold; remove it there, so that the fit adjusts it",
+            f"{symbol} is in model.hold; remove it from this list, so that the fit adjusts the "
+            "term",
             "conflicting-keys",
         )
     if (shape := prior.distribution.shape) != "normal":

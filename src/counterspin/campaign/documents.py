@@ -203,7 +203,10 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
         raise CampaignError(source, invalid_values, code="invalid-value")
     except UnicodeDecodeError:
         code = "wrong-encoding"
-        problem = "is not UTF-8 text; save it as UTF-8 (needed for the sign ±; +/- works too)"
+        problem = (
+            "is not UTF-8 text; save it as UTF-8 (required for the sign ±, which can also "
+            "be written as +/-)"
+        )
     except NestingError as error:
         problem = str(error) if error.line is None else f"line {error.line}: {error}"
     except tomllib.TOMLDecodeError as error:

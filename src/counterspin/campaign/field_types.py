@@ -222,8 +222,8 @@ def check_gravity(value: Any) -> Any:
     magnitude = value.value if isinstance(value, Quantity) else value
     if not _GRAVITY_RANGE[0] < magnitude < _GRAVITY_RANGE[1]:
         raise OutOfRangeError(
-            f"{magnitude:.6g} m/s^2 cannot be gravity on Earth, which is about 9.8 m/s^2; "
-            "check the number and its unit"
+            f"{magnitude:.6g} m/s^2 is not a possible value of gravity on Earth (about 9.8 "
+            "m/s^2); check the number and its unit"
         )
     return value
 
@@ -334,7 +334,8 @@ def check_record_name(name: str) -> str:
     if PurePath(name).suffix.lower() not in RECORD_FORMATS:
         raise InputError(
             (
-                f'"{name}" is not a supported file type; the names of record files end in '
+                f'"{name}" does not have a supported file type; the name of a record file must '
+                "end in "
                 f"{', '.join(RECORD_FORMATS)}"
             ),
             "wrong-file-ending",

@@ -106,11 +106,11 @@ class PosesSettings(SettingsSection):
     """``poses`` of a record at rest: settings of their detection."""
 
     rest: Seconds = key_field(
-        "shortest rest interval that is used as a pose", "1.5 s", 1.5, absent="1.5 s"
+        "minimum duration of a rest interval that is used as a pose", "1.5 s", 1.5, absent="1.5 s"
     )
     threshold: Annotated[float, exact_quantity("m/s^2"), AfterValidator(check_positive)] | None = (
         key_field(
-            "scatter below which the sensor is assumed to be at rest",
+            "threshold of the scatter below which the sensor is assumed to be at rest",
             "0.05 m/s^2",
             None,
             absent="determined from the record",
@@ -201,7 +201,7 @@ class Run(SettingsSection):
     )
     head: Annotated[float, exact_quantity("rad")] | None = key_field(
         "reading of the dividing head, if it differs from the angle of the attitude "
-        "because the instrument is mounted differently",
+        "because of the way the instrument is mounted",
         "120 deg",
         None,
         absent="the angle of the attitude",
@@ -382,8 +382,8 @@ class Run(SettingsSection):
                 message = f"applies to a run with {other_kind}; omit it"
                 if name == "records" and self.record is not None:
                     message += (
-                        ". [records] applies to all records on the arm and at rest: write them "
-                        "with the same columns and units"
+                        ". [records] applies to all records on the arm and at rest: all of them "
+                        "must have the same columns and units"
                     )
                 yield (field.alias or name,), message, "motion", "reading"
         if self.duration is not None and self.revolutions is not None:

@@ -103,7 +103,7 @@ class SiteSettings(SettingsSection):
     removed_gravity: (
         Annotated[float, exact_quantity("m/s^2"), AfterValidator(check_gravity)] | None
     ) = key_field(
-        "fixed value of gravity that the navigation computer subtracts; see below",
+        "constant value of gravity that the navigation computer subtracts; see below",
         "9.80665 m/s^2",
         None,
         absent="gravity of the site",
@@ -124,7 +124,7 @@ class CentrifugeSettings(SettingsSection):
     )
     droop: Annotated[Quantity, uncertain_quantity("rad s^2")] | None = key_field(
         "rotation about the forward axis, divided by the square of the rate; positive if the "
-        "outer end goes down; if absent, 0 with the default standard uncertainty",
+        "outer end moves down; if absent, 0 with the default standard uncertainty",
         "0 ± 1e-8 rad s^2",
         None,
     )
@@ -306,8 +306,8 @@ class NoiseSettings(StatedNoise):
     """[noise]: noise levels, or a static record from which they are estimated."""
 
     rest: Annotated[Text, AfterValidator(check_record_name)] | None = key_field(
-        "static record from which counterspin estimates the noise components that you omit from "
-        "this table",
+        "record at rest from which counterspin estimates the noise components that this table "
+        "omits",
         "rest.csv",
         None,
         alias="from",
@@ -325,8 +325,8 @@ class ModelSettings(SettingsSection):
         kind="list of terms",
     )
     assume: TextList = key_field(
-        "terms and inputs that are assumed to be perfect and do not contribute to u, unless you "
-        "enter a prior",
+        "terms and inputs that are assumed to be perfect and do not contribute to u, unless a "
+        "prior is stated",
         ["K_OO", "platform.*"],
         [],
         absent="none",

@@ -98,7 +98,7 @@ STANDARD_STATEMENT: Final = (
 #: Disclaimer required by ISO/IEC 17025:2017, 7.8.2.2.
 CUSTOMER_DISCLAIMER: Final = (
     "These data were supplied by the customer and can affect the validity of the results. The "
-    "laboratory is not responsible for them."
+    "laboratory is not responsible for these data."
 )
 
 # Headings of the statements, in the XML and on the pages.

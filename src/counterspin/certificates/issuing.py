@@ -175,8 +175,9 @@ class Certificate:
         staged_pdf_path = self._staged_pdf_path(pdf, published_xml)
         if not (staged_pdf_path.is_file() and read_document(staged_pdf_path) == published_xml):
             raise ExistingFileError(
-                f"{xml} already exists, and no interrupted command left a PDF that belongs to it. "
-                "A certificate never overwrites a file; choose another name"
+                f"{xml} already exists, and no interrupted command left a PDF for this XML file. "
+                "counterspin never overwrites a file when it issues a certificate; choose "
+                "another name"
             )
         pdf_content = read_file(staged_pdf_path)
         self._write(pdf, pdf_content, ledger, {**self.entry, "sha256": sha256_hex(published_xml)})

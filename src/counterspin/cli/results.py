@@ -360,7 +360,7 @@ def ledger(
             add_to_ledger(ledger, result_file, who=who, why=why)
         return
     if results or who or why:
-        raise UsageError("ledger", ["verify accepts no result files; give only the ledger"])
+        raise UsageError("ledger", ["verify does not accept result files; give only the ledger"])
     ledger_state = verify_ledger(ledger)
     make_console().print(Report(list(ledger_blocks(ledger_state))))
     if ledger_state.partial_entry:

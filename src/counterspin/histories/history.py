@@ -145,7 +145,7 @@ def history(
 
 def _unknown_term_message(term: str) -> str:
     if term in SHARED_TERMS:
-        return f'"{term}" is a machine term; a history tracks an accelerometer term'
+        return f'"{term}" is a machine term; a history tracks only accelerometer terms'
     parameter_type, _, accelerometer_names = term.partition(".")
     if accelerometer_names and parameter_type in TRIAD_PARAMETERS:
         return (

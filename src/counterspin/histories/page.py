@@ -218,7 +218,7 @@ def _repeatability_blocks(history: History, repeatability: Repeatability) -> Ite
     ]
     yield Paragraph(
         f"These standard deviations about {reference_text} add to the uncertainties of the "
-        "results. They are estimated by restricted likelihood."
+        "results. The estimates are restricted maximum likelihood estimates."
         + (
             (
                 f" With few {' and '.join(unreliable_conditions)}, the estimates are unreliable. "

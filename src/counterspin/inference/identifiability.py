@@ -110,7 +110,7 @@ def assess(
     References: IEEE Std 836, on near-collinear ("bucking") coefficients of centrifuge tests.
     """
     if solution.limits is None:
-        raise ValueError("assess needs a solution that was solved with limits")
+        raise ValueError("assess requires a solution that was computed with limits")
     p = len(symbols)
     if p > solution.estimate.size or np.isinf(solution.prior_sd[p:]).any():
         count = solution.estimate.size

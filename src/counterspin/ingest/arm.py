@@ -357,7 +357,7 @@ def _make_statements(table: ArmTable) -> Iterator[str]:
     if table.rate_column is not None:
         yield f"{n_resting or 'no'} reading{'' if n_resting == 1 else 's'} at rest (rate 0)"
         if is_convertible(table.rate_unit or "", "m/s^2"):
-            yield "accelerations are those at the stated radius; g is the local gravity at the site"
+            yield "accelerations apply at the stated radius; g is the local gravity at the site"
     for mounting in table.mountings:
         named_direction, slope_direction, axis = (
             parse_direction(mounting),
@@ -375,6 +375,6 @@ def _make_statements(table: ArmTable) -> Iterator[str]:
             )
             yield f"mounting '{mounting}': input axis {axis}, {source}"
     yield (
-        "the pendulous axis turns with the input axis; if the input axis is vertical, the "
+        "the pendulous axis rotates with the input axis; if the input axis is vertical, the "
         "pendulous axis points outward"
     )

@@ -111,7 +111,8 @@ def _find_sampling_remarks(guess: FileGuess) -> Iterator[str]:
     steps = np.diff(time)
     n_repeats = int(np.sum(steps == 0.0))
     if n_repeats and not any(columns_by_percentage):
-        yield f"repeated times: {n_repeats} of {time.size} rows repeat the time of the previous row"
+        yield f"repeated times: {n_repeats} of {time.size} rows have the same time as the "
+        "previous row"
     median_step = median(steps[steps > 0.0]) if (steps > 0.0).any() else math.nan
     long_steps = steps[steps > 1.5 * median_step] / median_step
     n_missing = int(np.round(long_steps).sum() - long_steps.size - n_repeats)
@@ -148,7 +149,7 @@ def _describe_column(column: FileColumn, guess: FileGuess) -> str:
     values = column.values[np.isfinite(column.values)]
     minimum, maximum = float(values.min()), float(values.max())
     if column.is_timestamp:
-        return f"time stamps over {maximum - minimum:.6g} s"
+        return f"time stamps that span {maximum - minimum:.6g} s"
     if minimum == maximum:
         return f"always {minimum:.6g}"
     name = column.name
@@ -243,8 +244,8 @@ def explain_unknown_test(all_contents: Sequence[FileContents]) -> Iterator[str]:
     for contents in all_contents:
         if axes := find_filtered_axes(guess_file(contents)):
             yield (
-                f"columns {format_names(axes)} are nearly zero at rest, so a filter removed "
-                "gravity. Poses require gravity; record the raw output of the sensor"
+                f"columns {format_names(axes)} are nearly zero at rest, so a filter must have "
+                "removed gravity. Poses require gravity; record the raw output of the sensor"
             )
 
 

@@ -510,8 +510,8 @@ def _sampling_remarks(record: StaticRecord) -> Iterator[str]:
         )
     if segments.restamped:
         yield (
-            f"{segments.restamped} of {segments.rows} rows repeat the time of the previous "
-            "row with a different value. counterspin calculates the time from the row count."
+            f"{segments.restamped} of {segments.rows} rows have the same time as the previous "
+            "row, but a different value. counterspin calculates the time from the row count."
         )
     if segments.filled and segments.recorded_fraction < 1.0:
         missing_percent = 100.0 * (1.0 - segments.recorded_fraction)

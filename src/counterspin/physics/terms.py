@@ -205,8 +205,8 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
             f"platform.tilt.{name}", effect, template, "rad", 1e-2, typical_size, source, "run"
         )
     drift_source = (
-        "one nautical mile per hour, as for K_F: 0.01 deg/h corresponds to 0.6 nautical miles per "
-        "hour"
+        "one nautical mile per hour, as for K_F: a drift of 0.01 deg/h corresponds to 0.6 "
+        "nautical miles per hour"
     )
     compliance_source = f"{_NO_SOURCE}: 0.1 arcsec/g, or 0.5 µm/g over a length of 1 m"
     g_template = "g-sensitivity of the {} gyro to force along {}"
@@ -250,7 +250,11 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     for axis, name in enumerate(("outward", "forward")):
         tilt = AttitudeError("table_axis", axis)
         description = f"tilt of the table axis about the {name} axis"
-        sizes = (1e-2, 10.0 * ARCSEC, f"{_NO_SOURCE}: 10 arcsec, bearings machined in one setup")
+        sizes = (
+            1e-2,
+            10.0 * ARCSEC,
+            f"{_NO_SOURCE}: 10 arcsec, for bearings machined in one setup",
+        )
         yield Term(f"table.axis_tilt.{name}", tilt, description, "rad", *sizes, "machine")
 
 

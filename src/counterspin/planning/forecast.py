@@ -167,7 +167,9 @@ def _require_forecast_data(
         if math.isnan(reading.value)
     ]
     if campaign.triad is not None and campaign.triad.records:
-        problems.append("a prediction requires the list of poses in the record, not the record")
+        problems.append(
+            "a prediction requires the list of poses in the record, not the record itself"
+        )
     if sampling_rate is None and campaign.runs:
         problems.append("simulation.sampling_rate: this entry is missing; a prediction requires it")
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():

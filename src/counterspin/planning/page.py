@@ -92,8 +92,8 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
 def _optimality_sentence(goal: GoalResult, is_timed: bool) -> str:
     if goal.efficiency is None:
         return (
-            "Another plan may be better. counterspin cannot state by how much, because no bound is "
-            "known for plans with time-stamp jitter."
+            "Another plan may be better. The possible improvement is unknown, because no bound "
+            "is known for plans with time-stamp jitter."
         )
     max_gain = 100.0 * (1.0 - goal.efficiency)
     if max_gain > _UNINFORMATIVE_BOUND:

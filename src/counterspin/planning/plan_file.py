@@ -280,8 +280,8 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
         if getattr(noise, key) != 0.0:
             problems.add(
                 ("noise", key),
-                "the search for runs cannot model a drifting bias; leave this component out here, "
-                "add it to the planned campaign, and run a forecast of that campaign",
+                "the search for runs cannot model a drifting bias; omit this component here, add "
+                "it to the planned campaign, and run a forecast of that campaign",
             )
     for name, accelerometer in campaign.accelerometers.items():
         sizes = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)
@@ -481,7 +481,8 @@ def resolve_goal(
     if not isinstance(goal_entries, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(
             ("goal", kind),
-            "the coefficients have different units; give the u that counts as 1 for each "
+            "the coefficients have different units; state equally important values of u, one for "
+            "each "
             'coefficient, such as minimise = { K_II = "1e-8 g/g^2" }',
             "missing-value",
         )

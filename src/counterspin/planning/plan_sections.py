@@ -111,7 +111,7 @@ class LimitsSettings(SettingsSection):
         "maximum duration of a record", "400 s", None, absent="the total time"
     )
     runs: Annotated[int, Field(le=MAX_RECORDS), AfterValidator(check_positive)] = key_field(
-        "maximum number of runs, up to 60", 14, 8
+        "maximum number of runs (at most 60)", 14, 8
     )
     fewest_rates: Annotated[int, AfterValidator(check_positive)] | None = key_field(
         "minimum number of different rates, each at least 1.25 times the next lower rate; "

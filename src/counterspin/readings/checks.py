@@ -137,8 +137,8 @@ def _check_redundancy(view: AccelerometerView) -> list[Finding]:
         return []
     text = (
         f"{count} readings cannot test the {len(free_symbols)} coefficients that they determine "
-        f"({', '.join(free_symbols)}), because the model would fit the readings regardless of "
-        "any error. Take more readings."
+        f"({', '.join(free_symbols)}), because the model would fit the readings exactly, "
+        "whatever their errors. Take more readings."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 
@@ -182,7 +182,7 @@ def _parameter_dof(view: AccelerometerView) -> float:
 def _detection_clause(dof: float) -> str:
     """Return a clause on the smallest residuals that chi-square detects."""
     if dof <= 0.5:
-        return ", nor can the scatter be compared with the stated uncertainty"
+        return ", and the scatter cannot be compared with the stated uncertainty"
     from scipy.special import chdtri
 
     ratio = math.sqrt(float(chdtri(dof, 0.5 * SIGNIFICANCE)) / dof)
@@ -316,7 +316,7 @@ def pattern_clause(alternative: Alternative) -> str:
         WARM_UP: f"settle with {basis}, as during a warm-up",
         BEND: f"drift with {basis} and reverse",
         SCALE: f"have a scale factor that drifts with {basis}",
-        TURN: f"have the pattern of positions that rotate more and more with {basis}",
+        TURN: f"have the pattern of a rotation of the positions that increases with {basis}",
         SWING: (
             f"oscillate {alternative.symbol.partition(' ')[2].partition(' ')[0]} times with {basis}"
         ),

@@ -165,7 +165,7 @@ def collect_readings(
     if blank_paths and turns is None:
         other_count = len(blank_paths) - 1
         others_text = f", and {other_count} other readings have none either" if other_count else ""
-        message = f"has no value yet{others_text}; enter the reading, or [truth] to simulate it"
+        message = f"has no value yet{others_text}; enter the reading, or add [truth] to simulate it"
         problems.add(blank_paths[0], message, "missing-value")
     return tuple(readings)
 

@@ -266,10 +266,10 @@ def _solve(
                 raise ConvergenceError(reason)
         name = _worst_reading(readings, records, model)
         raise ConvergenceError(
-            f"the fit of the readings did not converge in {_MAX_ITERATIONS} rounds. Check the "
+            f"the fit of the readings did not converge in {_MAX_ITERATIONS} iterations. Check the "
             f'sign, the digits and the unit of "{name}", which deviates most from the others, and '
-            "whether this reading was swapped with another one. Otherwise, state priors for "
-            "the machine terms, or state the standard uncertainties of the readings"
+            "whether this reading was swapped with another one. If the reading is correct, state "
+            "priors for the machine terms, or state the standard uncertainties of the readings"
         )
     dof = [
         part.noise_dof(solution) + group.repeat_dof if group.u is None else math.inf

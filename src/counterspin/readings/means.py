@@ -128,7 +128,7 @@ def mean_of_record(
         rows = rows[angles < revolutions * 2.0 * math.pi * (1.0 + 1e-12)]
     if rows.size < MIN_SAMPLES:
         raise RecordError(
-            f"{record.report.path}: {rows.size} samples are too few for a mean and its "
+            f"{record.report.path}: {rows.size} samples are too few to calculate a mean and its "
             "uncertainty.",
             code="record-too-short",
         )

@@ -125,7 +125,7 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
         reason = "names a file; omit this key" if isinstance(raw, Mapping) else "is missing"
         problems.add(
             ("readings",),
-            f"{reason}: the table is given as a frame, and `columns` assigns its columns",
+            f"{reason}: the table is given as a data frame, and `columns` assigns its columns",
         )
         return
     settings = problems.check(ReadingsSettings, {**raw, "file": _MEMORY_TABLE_NAME}, ("readings",))

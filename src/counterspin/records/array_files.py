@@ -241,8 +241,8 @@ class Hdf5File(ArrayFile):
             # The checksum would not cover numbers in another file.
             if dataset.is_virtual or dataset.external:
                 raise RecordError(
-                    f"{self.path}: the values of '{name}' are in another file. Write a file that "
-                    "contains them.",
+                    f"{self.path}: the values of '{name}' are stored in another file. Export a "
+                    "single file that contains all values.",
                     code="missing-column",
                 )
             if field:
@@ -274,7 +274,7 @@ class Hdf5File(ArrayFile):
         with h5py.File(self.path, "r") as file:
             for name in missing_names:
                 if isinstance(file.get(name, getlink=True), h5py.ExternalLink | h5py.SoftLink):
-                    return f"'{name}' is a link; write a file that contains the column itself."
+                    return f"'{name}' is a link; export a file that contains the column itself."
         return super()._missing_columns_message(missing_names)
 
 

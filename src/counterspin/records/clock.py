@@ -52,8 +52,11 @@ _UNIT_MISTAKES = (
     (1e-6, "Is the time column in microseconds?"),
     (1e6, "Is the time column in seconds rather than microseconds?"),
     (1e-9, "Is the time column in nanoseconds?"),
-    (1 / 60, "Is the time column in seconds rather than minutes, or is the rate given per minute?"),
-    (60.0, "Is the time column in minutes, or is the rate given per minute?"),
+    (
+        1 / 60,
+        "Is the time column in seconds rather than minutes, or is the stated rate per minute?",
+    ),
+    (60.0, "Is the time column in minutes, or is the stated rate per minute?"),
 )
 
 
@@ -246,8 +249,8 @@ class Clock:
             previous_time = self._last_time if index == 0 else float(time[rows[index - 1]])
             raise self._fail(
                 first_row + int(rows[index]),
-                f"the time decreases, from {previous_time:.9g} s to {time[rows[index]]:.9g} s "
-                "after the start of the record.",
+                f"the time decreases from {previous_time:.9g} s to {time[rows[index]]:.9g} s, "
+                "measured from the start of the record.",
                 "time-backwards",
             )
         rows = self._drop_repeats(chunk, rows, steps)
@@ -301,7 +304,7 @@ class Clock:
                 raise self._fail(
                     int(rows[index]),
                     f"no rows were recorded for {duration:.6g} s ({revolutions:.4g} revolutions), "
-                    "which is too long to track the rotation. End the record before the gap.",
+                    "a gap too long for the rotation to be tracked. End the record before the gap.",
                     "time-gap",
                 )
             self.findings.gap_count += 1
@@ -477,10 +480,10 @@ def _jump_message(elapsed: float, step: float, misfit: float, rate: float) -> st
     if abs(elapsed / step - 1) < 0.2:
         return (
             f"the angle differs by {misfit:.4g} rad from the extrapolation of the preceding "
-            "rows, and does not return. End the record before this row."
+            "rows, and the difference persists. End the record before this row."
         )
     return (
         f"the clock jumps: time advances by {elapsed:.6g} s over one row, but the angle "
-        f"advances only as much as expected in {elapsed + misfit / rate:.6g} s. End the record "
+        f"advances only by the amount expected in {elapsed + misfit / rate:.6g} s. End the record "
         "before this row."
     )

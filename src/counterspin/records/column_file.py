@@ -289,7 +289,7 @@ class ColumnFile(ABC):
                 raise
             batches = list(self.batches(names))
         if not batches:
-            raise RecordError(f"{self.path}: the file has no rows.", code="no-rows")
+            raise RecordError(f"{self.path}: the file has no rows of data.", code="no-rows")
         return concatenate_batches(batches)
 
     def table(self) -> pl.DataFrame:

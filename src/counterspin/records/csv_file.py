@@ -86,7 +86,7 @@ class CsvFile(ColumnFile):
                 line = file.readline(_MAX_LINE_BYTES + 1)
                 if len(line) > _MAX_LINE_BYTES:
                     raise RecordError(
-                        f"{self.path}, line {line_number}: the line has more than "
+                        f"{self.path}, line {line_number}: the line is longer than "
                         f"{_MAX_LINE_BYTES} bytes. {_FORMAT_ADVICE}",
                         code="malformed-table",
                     )
@@ -191,8 +191,8 @@ class CsvFile(ColumnFile):
         message = super()._missing_columns_message(missing_names)
         if self._has_names:
             return message
-        location = f"above the first numbers, line {self._before_rows + 1}"
-        unnamed_reason = f"no line {location}, contains column names, so the columns are numbered"
+        location = f"above the first numbers (line {self._before_rows + 1})"
+        unnamed_reason = f"no column names were found {location}, so the columns are numbered"
         reason = self._mismatch or unnamed_reason
         return f"{message} {reason[0].upper()}{reason[1:]}."
 
@@ -400,7 +400,7 @@ class CsvFile(ColumnFile):
             )
         hint = ""
         if cell.strip() == column:
-            hint = " The column names occur more than once: put each run into a separate file."
+            hint = " The header row occurs more than once: put each run into a separate file."
         if _UNIT_CELL.fullmatch(cell.strip()):
             hint = " Move the unit from the cells to the header row, such as 'Time [s]'."
         if _is_number(cell.replace(",", ".")):
@@ -490,7 +490,8 @@ class CsvFile(ColumnFile):
                     hint = ""
                     if self.delimiter == "," and cell_count == 2 * len(self.names):
                         hint = (
-                            " Commas serve as both cell and decimal separators; export the file "
+                            " Commas serve both as cell delimiters and as decimal separators; "
+                            "export the file "
                             "with semicolons or tabs."
                         )
                     raise RecordError(
@@ -532,7 +533,8 @@ def open_text_named_excel(path: Path, stream: BinaryIO, dialect: Dialect) -> Col
         )
     if first_bytes.lstrip().startswith(b"<"):
         raise RecordError(
-            f"{path}: this is a web page or XML for Excel; open it in Excel and save it as .xlsx.",
+            f"{path}: this is a web page or an XML spreadsheet; open the file in Excel and save "
+            "it as .xlsx.",
             code="wrong-file-type",
         )
     return CsvFile(path, stream, dialect)

@@ -79,7 +79,8 @@ _ADVICE_BY_SUFFIX: Final[Mapping[str, str]] = {
     ),
     **dict.fromkeys(
         (".bin", ".raw", ".pkl", ".pickle"),
-        "the byte layout of this file is unknown; export text, such as .csv, from the program "
+        "the byte layout of this file is unknown; export a text file, such as .csv, from the "
+        "program "
         "that wrote it.",
     ),
 }
@@ -96,7 +97,7 @@ def suffix_problem(path: Path) -> str:
     if format_of(path) is not None:
         return ""
     if suffix in _COMPRESSED_SUFFIXES:
-        return "the file is compressed; unpack it, and use the extracted file."
+        return "the file is compressed; unpack it and use the extracted file."
     if suffix in _ADVICE_BY_SUFFIX and not path.is_dir():
         return _ADVICE_BY_SUFFIX[suffix]
     problem = "this is a folder" if path.is_dir() else "this file does not"

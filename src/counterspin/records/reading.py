@@ -263,7 +263,7 @@ class _RecordReader:
                 f"{self._file.path}: none of the {self._rows} rows is in the selected part of the "
                 "record."
                 if self._rows
-                else f"{self._file.path}: the file has column names, but no rows.",
+                else f"{self._file.path}: the file has column names, but no rows of data.",
                 code="no-rows",
             )
         self._clock.finish()
@@ -386,8 +386,8 @@ class _RecordReader:
         differing_count = self._clock.findings.differing
         if differing_count > MAX_REPEATED_TIMES * self._rows:
             raise RecordError(
-                f"{self._file.path}: {differing_count} of {self._rows} rows repeat the time of "
-                "the previous row with different values. If no row is missing, state "
+                f"{self._file.path}: {differing_count} of {self._rows} rows have the same time "
+                "as the previous row, but different values. If no row is missing, state "
                 "`sampling_rate`.",
                 code="repeated-times",
             )
@@ -467,7 +467,7 @@ class _RecordReader:
                 f"{self._file.path}: column '{self._columns.signals[accelerometer].name}' does "
                 f"not follow the rotation for {100 * len(dropout) / len(signal):.2g} % of the "
                 f"record, between {start:.6g} s and {end:.6g} s after its start, but follows the "
-                "rotation again afterwards. The channel may have failed for a while. At most "
+                "rotation again afterwards. The channel may have failed temporarily. At most "
                 f"{100 * MAX_EMPTY_FRACTION:.0f} % of the record may be affected. Use only the "
                 "part of the record before the failure.",
                 code="signal-dropout",

@@ -103,7 +103,7 @@ class RecordReport:
         if self.isolated:
             text = "1 row separated" if self.isolated == 1 else f"{self.isolated} rows separated"
             verb = "was" if self.isolated == 1 else "were"
-            notes.append(f"{text} from the others by a gap {verb} omitted.")
+            notes.append(f"{text} from the other rows by a gap {verb} omitted.")
         if self.gap_count:
             longest = max(gap.length for gap in self.gaps)
             text = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"

@@ -118,7 +118,7 @@ def interpolate_pulses(pulses: Array, time: Array, rate: float, per_revolution: 
     per_revolution: Pulses per revolution.
     """
     if len(pulses) < 3:
-        raise InputError(f"{len(pulses)} pulses are too few to follow the rotation", "too-few-rows")
+        raise InputError(f"{len(pulses)} pulses are too few to track the rotation", "too-few-rows")
     steps = np.diff(pulses)
     if (steps <= 0).any():
         index = int(np.flatnonzero(steps <= 0)[0]) + 2
@@ -186,8 +186,8 @@ def check_length(path: object, rows: int, duration: float, motion: NominalMotion
         )
     if revolutions > MAX_REVOLUTIONS_PER_ROW * rows:
         raise RecordError(
-            f"{path}: the record has {rows} rows in {revolutions:.4g} revolutions, too few to "
-            "follow the rotation. Check the unit of the time column.",
+            f"{path}: the record has {rows} rows in {revolutions:.4g} revolutions, which is too "
+            "few to track the rotation. Check the unit of the time column.",
             code="too-few-rows",
         )
     max_revolutions = MAX_REVOLUTIONS + EXTRA_REVOLUTIONS_PER_ROW * rows

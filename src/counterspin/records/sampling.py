@@ -111,9 +111,10 @@ class ValueHolding:
         if chance_repeats > _MAX_CHANCE_FRACTION:
             raise InputError(
                 f"the signal repeats {100.0 * repeated_fraction:.2g} % of its values at "
-                "irregular intervals, which suggests that the log is faster than the sensor. "
+                "irregular intervals, which suggests a logging rate above the output rate of the "
+                "sensor. "
                 "The resolution is too coarse to tell repeated samples from samples that happen "
-                "to be equal. Export only the samples of the sensor",
+                "to be equal. Export each sample of the sensor only once",
                 "irregular-time",
             )
         return cls(rows, 0, 0)
@@ -189,7 +190,7 @@ class RepeatedValues:
             for name, count in zip(self._names, self._repeat_counts, strict=True)
         )
         return [
-            f"column '{name}' repeats {100.0 * fraction:.3g} % of its values; repeated values "
+            f"column '{name}' repeats {100.0 * fraction:.3g} % of the values; the repetitions "
             "are not used"
             for name, fraction in fractions
             if fraction
@@ -281,9 +282,10 @@ def reconstruct_times(time: Array, restamped_count: int) -> Array:
     for segment, last in zip(segments, last_rows, strict=True):
         if _lacks_rows(segment[last] / step - last, segment.size):
             raise InputError(
-                f"{restamped_count} of {time.size} rows repeat the time of the previous row "
-                "with different values, and samples are missing or delayed too much, so the "
-                "rows cannot be counted; export the times of the sensor with a finer "
+                f"{restamped_count} of {time.size} rows have the same time as the previous row, "
+                "but different values, and samples are missing or excessively delayed, so the "
+                "time cannot be calculated from the row count; export the times of the sensor "
+                "with a finer "
                 "resolution, or, if no sample is missing, give `sampling_rate`",
                 "irregular-time",
             )

@@ -175,7 +175,7 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
     if sheet is not None:
         if sheet not in names:
             raise RecordError(
-                f"{path}: no sheet is named '{sheet}'; it has {format_names(names)}.",
+                f"{path}: no sheet is named '{sheet}'; the sheets are {format_names(names)}.",
                 code="unknown-sheet",
             )
         return workbook, sheet

@@ -76,7 +76,7 @@ def require_figure_format(path: Path) -> str:
     if suffix not in _METADATA:
         raise CounterspinError(
             (
-                f"{path}: unsupported file type for a figure; the name must end in "
+                f"{path}: figures cannot have this file type; the name must end in "
                 f"{', '.join(_METADATA)}"
             ),
             code="wrong-file-ending",

@@ -203,7 +203,7 @@ def _check_clock(campaign: Campaign) -> Iterator[str]:
         rate, stated_rate = campaign.simulation.sampling_rate, 1.0 / campaign.time.factor
         if not math.isclose(rate, stated_rate, rel_tol=1e-9):
             yield (
-                f"simulation.sampling_rate: is {rate:g} Hz, and records.time states "
+                f"simulation.sampling_rate: is {rate:g} Hz, but records.time states "
                 f"{stated_rate:g} Hz"
             )
 

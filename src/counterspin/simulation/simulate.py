@@ -199,7 +199,8 @@ def _simulate_in_memory(campaign: Campaign) -> Campaign:
     source = require_source(campaign)
     if "readings" in source.document:
         raise UsageError(
-            str(campaign.path), ["readings: a readings table can only be simulated into a folder"]
+            str(campaign.path),
+            ["readings: the simulation of a readings table requires an output folder"],
         )
     readings, head_errors = true_readings(campaign)
     noise, noiseless_readings = (
@@ -356,7 +357,10 @@ def _targets_in_folder(
     targets, problems = [], []
     for key, file in files.items():
         if file.suffix.lower() not in WRITERS:
-            problems.append(f"{key}: {file.name} cannot be simulated; write {' or '.join(WRITERS)}")
+            problems.append(
+                f"{key}: {file.name} cannot be simulated; the file name must end in "
+                f"{' or '.join(WRITERS)}"
+            )
         elif ".." in file.parts or not file.is_relative_to(campaign.folder):
             problems.append(
                 f"{key}: {file} is outside the campaign folder, where a simulation must not "

@@ -426,7 +426,8 @@ def _parse_varied_quantities(
     if is_per_run and (symbol in (*INPUTS, *NOISE_LEVEL_UNITS) or not campaign.runs):
         problems.add(
             path,
-            "this quantity is the same in all runs and readings of a campaign; remove the key per",
+            "this quantity is the same in all runs and readings of a campaign; remove the key "
+            "`per`",
         )
     if parameters is None:
         return []

@@ -416,7 +416,7 @@ def find_two_stage_obstacles(
         obstacles.append("the noise assumed in the analysis is not white in displacement")
     max_speed = setup.radius * max(abs(spindle.rate) for spindle in setup.spindles)
     if request.timing * max_speed > _MAX_NEGLECTED_NOISE * _min_white_noise(truth):
-        obstacles.append("the noise of the recorded time assumed in the analysis is not negligible")
+        obstacles.append("the time-stamp jitter assumed in the analysis is not negligible")
     return obstacles
 
 

@@ -224,7 +224,8 @@ def _make_result(
 ) -> StudyResult:
     if not batch_results.is_done.any():
         raise CounterspinError(
-            "the study was stopped before the first batch of trials was complete", code="stopped"
+            "the study was stopped before it had completed the first batch of trials",
+            code="stopped",
         )
     sums = batch_results.sums[batch_results.is_done]
     coefficients: dict[str, dict[str, CoefficientResult]] = {}

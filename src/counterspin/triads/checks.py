@@ -76,7 +76,7 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
         )
         clause += f", mainly in {' or '.join(owners)}"
         remedy = (
-            " Check whether the sensor was hit or switched off."
+            " Check whether the sensor was knocked or switched off."
             if first.kind == STEP
             else (
                 " Let the sensor warm up before the test, or add K_F.trend to "

@@ -495,6 +495,6 @@ def _divergence_error(poses: TriadPoses, rounds: int) -> str:
     )
     return (
         f"{poses.accelerometer}: the fit of {poses.size} poses did not converge in {rounds} "
-        f"rounds. Their directions lie within {max_angle:.0f} deg of each other; take poses "
-        "in all directions, or state priors for the coefficients."
+        f"rounds. The directions of the poses lie within {max_angle:.0f} deg of each other; "
+        "measure poses in all directions, or state priors for the coefficients."
     )

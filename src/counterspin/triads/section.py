@@ -158,7 +158,7 @@ def _frame_misalignments(
         problems.add(
             ("accelerometers", names[1], "pendulous_axis"),
             f"must lie in the plane of the input axes of {names[0]} and {names[1]}, or at right "
-            "angles to it, so that one misalignment is perpendicular to it",
+            "angles to this plane, so that one misalignment is perpendicular to the plane",
             "invalid-axes",
         )
         return ()

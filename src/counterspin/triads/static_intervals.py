@@ -94,7 +94,7 @@ class StaticIntervals:
                 "Rest and motion are not clearly separated: the scatter in motion is only "
                 f"{self.contrast:.2g} times the scatter at rest. Compare the plot of the "
                 f"scatter with the threshold of {self.threshold:.3g}. If a different threshold "
-                "separates rest from motion better, specify it."
+                "separates rest from motion better, specify that threshold."
             )
         total_scatter = np.sqrt((self.scatter**2).sum(axis=1))
         for index in np.flatnonzero(total_scatter > _DRIFT_RATIO * self.threshold)[:1]:
