@@ -186,7 +186,7 @@ def test_velocity_and_force_records_determine_accelerometer_noise(
 
 def test_noise_level_dof_matches_dense_traces():
     """Compare with traces of dense matrices."""
-    differences = Differences.of(np.arange(60.0), 2)
+    differences = Differences.from_times(np.arange(60.0), 2)
     part = SimpleNamespace(
         accelerometer="Qx", series=SimpleNamespace(differences=differences, jitter_variance=0.0)
     )

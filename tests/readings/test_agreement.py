@@ -50,7 +50,7 @@ def test_shift_of_two_means_is_their_difference():
     u = math.hypot(1e-3 / math.sqrt(2.0), 2e-3)
     for kind, other in (("first", 5e-3), ("second", 2e-3)):
         comparison = compare_motions(whole)[kind]
-        assert comparison.without.estimate[0] == pytest.approx(other)
+        assert comparison.other_solution.estimate[0] == pytest.approx(other)
         assert abs(comparison.shift[0] / comparison.u_shift[0]) == pytest.approx(3e-3 / u)
         # Its own scatter, 1e-3 to 3e-3, is no part of it.
         assert (comparison.chi2, comparison.dof) == (pytest.approx((3e-3 / u) ** 2, rel=1e-6), 1)

@@ -18,7 +18,7 @@ from counterspin.inference.verdicts import Conformity, RuleName, Verdict
 #: Largest guard band of the probability rule at a single limit, in standard uncertainties.
 _MAX_GUARD_BAND: Final = 1e6
 
-_BISECTIONS: Final = 80
+_N_BISECTIONS: Final = 80
 
 
 @frozen
@@ -152,10 +152,10 @@ def _acceptance_interval(
     if not passes(max_margin):
         return math.inf, -math.inf
     failing_margin, passing_margin = 0.0, max_margin
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (failing_margin + passing_margin)
+    for _ in range(_N_BISECTIONS):
+        midpoint = 0.5 * (failing_margin + passing_margin)
         failing_margin, passing_margin = (
-            (failing_margin, middle) if passes(middle) else (middle, passing_margin)
+            (failing_margin, midpoint) if passes(midpoint) else (midpoint, passing_margin)
         )
     return acceptance_limits(low, high, passing_margin)
 

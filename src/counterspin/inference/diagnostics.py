@@ -273,8 +273,8 @@ def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
         return n_runs, 0.0, 1.0
     z = (n_runs - expected_runs) / math.sqrt(variance)
     # Continuity correction.
-    distance = max(abs(n_runs - expected_runs) - 0.5, 0.0) / math.sqrt(variance)
-    return n_runs, z, 2 * normal_cdf(-distance)
+    abs_z = max(abs(n_runs - expected_runs) - 0.5, 0.0) / math.sqrt(variance)
+    return n_runs, z, 2 * normal_cdf(-abs_z)
 
 
 def periodogram(rows: ArrayLike) -> Array:

@@ -72,9 +72,9 @@ def global_risk(
     x, weights = np.polynomial.legendre.leggauss(_NODES_PER_INTERVAL)
     consumer_risk = producer_risk = 0.0
     for left, right in pairwise(breakpoints.tolist()):
-        middle, half_width = 0.5 * (left + right), 0.5 * (right - left)
-        is_conforming = low <= middle <= high
-        for node, weight in zip(middle + half_width * x, half_width * weights, strict=True):
+        midpoint, half_width = 0.5 * (left + right), 0.5 * (right - left)
+        is_conforming = low <= midpoint <= high
+        for node, weight in zip(midpoint + half_width * x, half_width * weights, strict=True):
             value = float(node)
             z = (value - process.mean) / process.sigma
             density = float(weight) * math.exp(-0.5 * z * z)

@@ -117,18 +117,18 @@ def assess(
         raise ValueError(
             f"{p} symbols for {count} unknowns: unknowns without a symbol need a prior"
         )
-    offset = np.zeros(p) if nominal is None else np.asarray(nominal, dtype=np.float64)
+    nominal_values = np.zeros(p) if nominal is None else np.asarray(nominal, dtype=np.float64)
     limits, prior_sd = solution.limits[:p], solution.prior_sd[:p]
-    free = np.flatnonzero(prior_sd > 0)
+    free_indices = np.flatnonzero(prior_sd > 0)
     information = _Information(
-        _project_onto_first(solution, p)[:, free],
-        solution.whiten_priors(np.eye(solution.estimate.size))[np.ix_(free, free)],
-        limits[free],
+        _project_onto_first_unknowns(solution, p)[:, free_indices],
+        solution.whiten_priors(np.eye(solution.estimate.size))[np.ix_(free_indices, free_indices)],
+        limits[free_indices],
     )
     covariance_root = information.covariance_root()
 
     variance = np.diag(solution.covariance_considered)[:p].copy()
-    variance[free] += np.sum(covariance_root**2, axis=1)
+    variance[free_indices] += np.sum(covariance_root**2, axis=1)
     if solution.covariance_undetected is not None:
         variance += np.diag(solution.covariance_undetected)[:p]
     is_determined = (
@@ -136,12 +136,12 @@ def assess(
     )
 
     # The size of a coefficient such as K_I = 1.002 includes its nominal value.
-    credible_sizes = information.limits + np.abs(offset[free])
+    credible_sizes = information.limits + np.abs(nominal_values[free_indices])
 
     def describe_combination(weights: Array) -> tuple[ConfoundedTerms, float]:
         """Return a combination of the free unknowns, and its u over the largest u of its terms."""
         full_weights = np.zeros(solution.estimate.size)
-        full_weights[free] = weights
+        full_weights[free_indices] = weights
         contributions = np.abs(weights) * credible_sizes
         # An undetermined term always has its partner named.
         min_contribution = min(
@@ -150,8 +150,8 @@ def assess(
         terms = np.flatnonzero(contributions >= min_contribution)
         full_weights /= weights[terms[0]]
         combination = solution.combine(full_weights)
-        names = [symbols[k] for k in free[terms].tolist()]
-        term_weights = full_weights[free[terms]]
+        names = [symbols[k] for k in free_indices[terms].tolist()]
+        term_weights = full_weights[free_indices[terms]]
         confounded = ConfoundedTerms(
             terms=names,
             correlation=information.max_correlation(terms),
@@ -159,7 +159,7 @@ def assess(
                 names, term_weights, _NEGLIGIBLE_FRACTION * combination.u / credible_sizes[terms]
             ),
             weights=term_weights.tolist(),
-            value=combination.value + float(full_weights[:p] @ offset),
+            value=combination.value + float(full_weights[:p] @ nominal_values),
             u=combination.u,
         )
         return confounded, combination.u / float(
@@ -167,20 +167,22 @@ def assess(
         )
 
     undetermined = [
-        i for i in range(free.size) if np.linalg.norm(covariance_root[i]) >= information.limits[i]
+        i
+        for i in range(free_indices.size)
+        if np.linalg.norm(covariance_root[i]) >= information.limits[i]
     ]
     combinations = _determined_combinations(
-        covariance_root, information.limits, undetermined, range(free.size)
+        covariance_root, information.limits, undetermined, range(free_indices.size)
     )
     confounded_terms = [describe_combination(weights)[0] for weights in combinations]
-    free_index = {symbols[k]: i for i, k in enumerate(free.tolist())}
-    groups = _merge_overlapping(
+    free_index = {symbols[k]: i for i, k in enumerate(free_indices.tolist())}
+    groups = _merge_overlapping_sets(
         [[free_index[name] for name in item.terms] for item in confounded_terms]
     )
 
     pairs = information.collinear_pairs()
-    collinear_groups = _merge_overlapping(
-        [pair for pair, count in pairs.items() if count > COLLINEAR_CORRELATION]
+    collinear_groups = _merge_overlapping_sets(
+        [pair for pair, correlation in pairs.items() if correlation > COLLINEAR_CORRELATION]
     )
     for group in [*collinear_groups, *map(list, pairs)]:
         if any(set(group) <= set(terms) for terms in groups):
@@ -195,13 +197,16 @@ def assess(
                 confounded_terms.append(item)
                 groups.append(group)
     return Assessment(
-        determined={name: bool(yes) for name, yes in zip(symbols, is_determined, strict=True)},
+        determined={
+            name: bool(is_term_determined)
+            for name, is_term_determined in zip(symbols, is_determined, strict=True)
+        },
         u=np.sqrt(variance),
         confounded=tuple(confounded_terms),
     )
 
 
-def _project_onto_first(solution: Solution, p: int) -> Array:
+def _project_onto_first_unknowns(solution: Solution, p: int) -> Array:
     """Return the information on the first unknowns; the others are projected out with priors."""
     # Exactly known unknowns need no projection.
     uncertain_indices = p + np.flatnonzero(solution.prior_sd[p:] > 0.0)
@@ -292,23 +297,23 @@ class _Information:
         candidate_pairs: npt.NDArray[np.intp] = index[is_observed & is_collinear]
         return candidate_pairs
 
-    def _project_onto_sets(self, sets: npt.NDArray[np.intp]) -> Array:
+    def _project_onto_sets(self, index_sets: npt.NDArray[np.intp]) -> Array:
         """Return the square-root information on sets of s terms, shape (sets, s, s).
 
         All other unknowns are projected out, with their priors; the sets' own priors are omitted.
         """
-        n_terms, set_size = self.floor.size, sets.shape[1]
+        n_terms, set_size = self.floor.size, index_sets.shape[1]
         rows = np.vstack([self.data, self.priors, np.diag(self.floor)])
-        batch = np.repeat(rows[None], len(sets), axis=0)
+        batch = np.repeat(rows[None], len(index_sets), axis=0)
         start = self.data.shape[0]
-        for column in sets.T:
-            batch[np.arange(len(sets)), start + column] = 0.0
-            batch[np.arange(len(sets)), start + n_terms + column, column] = 0.0
-        is_last = np.zeros((len(sets), n_terms), dtype=np.bool_)
-        is_last[np.arange(len(sets))[:, None], sets] = True
-        order = np.argsort(is_last, axis=1, kind="stable")
-        order[:, n_terms - set_size :] = sets
-        ordered_batch = np.take_along_axis(batch, order[:, None, :], axis=2)
+        for column in index_sets.T:
+            batch[np.arange(len(index_sets)), start + column] = 0.0
+            batch[np.arange(len(index_sets)), start + n_terms + column, column] = 0.0
+        is_last = np.zeros((len(index_sets), n_terms), dtype=np.bool_)
+        is_last[np.arange(len(index_sets))[:, None], index_sets] = True
+        row_order = np.argsort(is_last, axis=1, kind="stable")
+        row_order[:, n_terms - set_size :] = index_sets
+        ordered_batch = np.take_along_axis(batch, row_order[:, None, :], axis=2)
         return triangular_factor(ordered_batch)[
             :, n_terms - set_size : n_terms, n_terms - set_size :
         ]
@@ -378,10 +383,10 @@ def _regression_weights(covariance_root: Array, i: int, regressors: Sequence[int
     return weights
 
 
-def _merge_overlapping(sets: Sequence[Sequence[int]]) -> list[list[int]]:
+def _merge_overlapping_sets(index_sets: Sequence[Sequence[int]]) -> list[list[int]]:
     """Merge sets with common members into groups."""
     groups: list[set[int]] = []
-    for members in sets:
+    for members in index_sets:
         merged_group = set(members).union(*(group for group in groups if group & set(members)))
         groups = [group for group in groups if not group & merged_group] + [merged_group]
     return [sorted(group) for group in groups]

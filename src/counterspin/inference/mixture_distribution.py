@@ -63,9 +63,9 @@ def _variance_nodes(dof: float) -> list[tuple[float, float]]:
 
 def mixture_dof(share: float, dof: float) -> float:
     """Return the degrees of freedom of Student's t with the 95 % interval of the mixture."""
-    satterthwaite = dof / share**2 if share > 0.0 else math.inf
+    satterthwaite_dof = dof / share**2 if share > 0.0 else math.inf
     if dof > _LARGE_DOF or not _MIN_SHARE < share < 1.0:
-        return satterthwaite
+        return satterthwaite_dof
     dof = max(dof, MIN_DOF)
     # Search between the logarithms of the normal and of Student's quantile.
     low, high = -normal_quantile(_TAIL_PROBABILITY), -student_quantile(dof, _TAIL_PROBABILITY)
@@ -83,7 +83,7 @@ def mixture_dof(share: float, dof: float) -> float:
             30.0,
         )
     )
-    return min(matched_dof, satterthwaite)
+    return min(matched_dof, satterthwaite_dof)
 
 
 def estimated_part_dof(share: float, dof: float) -> float:
@@ -115,17 +115,17 @@ def _find_root(function: Callable[[float], float], low: float, high: float) -> f
         return low
     if value_high >= 0.0:
         return high
-    middle = previous_value = 0.0
+    midpoint = previous_value = 0.0
     for _ in range(60):
-        middle = (low * value_high - high * value_low) / (value_high - value_low)
-        value = function(middle)
+        midpoint = (low * value_high - high * value_low) / (value_high - value_low)
+        value = function(midpoint)
         if abs(value) < _ROOT_TOLERANCE or high - low < _ROOT_TOLERANCE:
             break
         if value > 0.0:
-            low, value_low = middle, value
+            low, value_low = midpoint, value
             value_high *= 0.5 if previous_value > 0.0 else 1.0
         else:
-            high, value_high = middle, value
+            high, value_high = midpoint, value
             value_low *= 0.5 if previous_value < 0.0 else 1.0
         previous_value = value
-    return middle
+    return midpoint

@@ -36,9 +36,9 @@ def correlation_matrix(
     indices = {name: index for index, name in enumerate(names)}
     matrix = np.eye(len(names))
     for name, index in indices.items():
-        for partner, r in correlations.get(name, {}).items():
-            if partner in indices:
-                matrix[index, indices[partner]] = r
+        for other_name, r in correlations.get(name, {}).items():
+            if other_name in indices:
+                matrix[index, indices[other_name]] = r
     return matrix
 
 

@@ -100,7 +100,7 @@ def _distinct_groups(
     groups: Mapping[str, Sequence[Hashable]], design: Array
 ) -> tuple[dict[str, tuple[Array, int]], dict[str, str]]:
     """Return the indicators of groups, shape (n, g), with their additional degrees of freedom."""
-    distinct: dict[str, tuple[Array, int]] = {}
+    distinct_groups: dict[str, tuple[Array, int]] = {}
     same_as: dict[str, str] = {}
     independent_columns, rank = design, int(np.linalg.matrix_rank(design))
     for name, labels in sorted(groups.items(), key=lambda item: len(set(item[1]))):
@@ -109,11 +109,11 @@ def _distinct_groups(
         combined_design = np.hstack([independent_columns, indicator])
         dof = int(np.linalg.matrix_rank(combined_design)) - rank
         if dof > 0:
-            distinct[name] = indicator, dof
+            distinct_groups[name] = indicator, dof
             independent_columns, rank = combined_design, rank + dof
-        elif len(indices) > 1 and distinct:
-            same_as[name] = list(distinct)[-1]
-    return distinct, same_as
+        elif len(indices) > 1 and distinct_groups:
+            same_as[name] = list(distinct_groups)[-1]
+    return distinct_groups, same_as
 
 
 class _RestrictedDeviance:
@@ -192,7 +192,7 @@ class _RestrictedDeviance:
         """Return the variances that minimise -2 l, unnecessary variances being 0, and -2 l."""
         starts = product((1.0, 1e-3), repeat=len(self.group_covariances))
         minima = [self.minimise(np.array(start) * self.scale, {}) for start in starts]
-        variances, min_deviance = min(minima, key=lambda trial: trial[1])
+        variances, min_deviance = min(minima, key=lambda minimum: minimum[1])
         zero_components: dict[int, float] = {}
         for index in np.flatnonzero(variances < _NEGLIGIBLE_VARIANCE_RATIO * self.scale):
             reduced_variances, deviance = self.minimise(

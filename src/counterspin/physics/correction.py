@@ -75,9 +75,12 @@ def _solve_rising_branch(
     """Return the root of the indication minus y on the branch with a_I = 0."""
     # With K_0_asym, the indication jumps at zero; the middle of the jump separates the signs.
     products = _nonzero_products(coefficients)
-    constant = {product: value for product, value in products.items() if product.power == 0}
+    constant_products = {
+        product: value for product, value in products.items() if product.power == 0
+    }
     jump_top, jump_bottom = (
-        _indication_polynomial(constant, np.full_like(y, sign), a_p, a_o)[0] for sign in (1, -1)
+        _indication_polynomial(constant_products, np.full_like(y, sign), a_p, a_o)[0]
+        for sign in (1, -1)
     )
     force_sign = np.where(y >= 0.5 * (jump_top + jump_bottom), 1.0, -1.0)
     # With this sign, a_I is the root of an increasing polynomial in |a_I| that is negative at zero.
@@ -182,7 +185,7 @@ def _positive_roots(polynomial: Array) -> Array:
     low, high = intervals[:-1], intervals[1:]
     interval_polynomial = polynomial[:, None]
     low_is_positive, high_is_positive = (
-        _evaluate(interval_polynomial, at) > 0.0 for at in (low, high)
+        _evaluate(interval_polynomial, end) > 0.0 for end in (low, high)
     )
     has_root = low_is_positive != high_is_positive
     root = np.where(has_root, 0.5 * (low + high), np.inf)
@@ -397,8 +400,8 @@ def correct(
     weights, _ = _projections(instruments, known_forces)
     n, m = indications.shape
     known_values = np.empty((n, len(known_forces)))
-    for index, item in enumerate(known_forces):
-        known_values[:, index] = item.force
+    for index, known_force in enumerate(known_forces):
+        known_values[:, index] = known_force.force
     force = _correct_jointly(
         instruments, indications, known_values, weights, temperature_offset.value
     )
@@ -451,8 +454,8 @@ class Prediction:
         """Return the number of indications and their extremes."""
         n = self.indicated.size
         low, high = float(self.indicated.min()), float(self.indicated.max())
-        largest = float(self.u.max())
-        return f"<{n} indications from {low:.6g} to {high:.6g} g, u at most {largest:.2g} g>"
+        max_u = float(self.u.max())
+        return f"<{n} indications from {low:.6g} to {high:.6g} g, u at most {max_u:.2g} g>"
 
 
 def indication(instrument: CalibratedAccelerometer, a_ipo: Array) -> tuple[Array, Array]:
@@ -479,7 +482,7 @@ def _projections(
         shape (m, 2).
     """
     rows = [instrument.mounting.input_axis for instrument in instruments]
-    directions = np.stack([*rows, *(item.direction for item in known_forces)])
+    directions = np.stack([*rows, *(known_force.direction for known_force in known_forces)])
     if np.linalg.matrix_rank(directions, tol=_PROJECTION_ROUNDING) < directions.shape[0]:
         raise InputError(
             f"the specific force along a direction is overdetermined: {len(rows)} "

@@ -177,11 +177,11 @@ class FrequencyResponse:
 
     def total_shifts(self, rate: float) -> TimeShifts:
         """Return the response of accelerometer and recorder for a rate in rad/s."""
-        return _time_shifts(self, abs(rate), recorder=False)
+        return _time_shifts(self, abs(rate), is_recorder=False)
 
     def recorder_shifts(self, rate: float) -> TimeShifts:
         """Return the response of the recorder for a rate in rad/s."""
-        return _time_shifts(self, abs(rate), recorder=True)
+        return _time_shifts(self, abs(rate), is_recorder=True)
 
 
 CUTOFF: Final = "records.cutoff_frequency"  #: Hz, of the recorder's low pass
@@ -197,12 +197,12 @@ RESPONSE_INPUTS: Final[Mapping[str, str]] = {
 
 
 @lru_cache(maxsize=256)
-def _time_shifts(response: FrequencyResponse, rate: float, *, recorder: bool) -> TimeShifts:
+def _time_shifts(response: FrequencyResponse, rate: float, *, is_recorder: bool) -> TimeShifts:
     """Approximate a response by shifts in time about its delay at the rotation's frequency."""
     evaluate: Callable[[Array], ComplexArray] = (
-        response.recorder_gain if recorder else response.gain
+        response.recorder_gain if is_recorder else response.gain
     )
-    if recorder and math.isinf(response.cutoff_frequency):
+    if is_recorder and math.isinf(response.cutoff_frequency):
         return TimeShifts((0.0,), (1.0,))
     two_pi = 2.0 * math.pi
     delay = -float(np.angle(evaluate(np.array([rate / two_pi])))[0]) / rate

@@ -366,10 +366,10 @@ class Motion:
     @cached_property
     def square_of_specific_force(self) -> Array:
         """m^2/s^3, the integral of the squared specific force from t = 0, shape (n,)."""
-        total: Array = self._integrate(
+        integral: Array = self._integrate(
             lambda motion: np.sum(motion.specific_force**2, axis=1)[None]
         )
-        return total[:, 0]
+        return integral[:, 0]
 
     def _integrate(self, function: Callable[[Motion], Array]) -> Array:
         """Return integrals of k functions of the motion from t = 0, shape (n, k)."""

@@ -293,8 +293,8 @@ def _trajectory_integrals(
     """
     edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
     is_cacheable = edges.size * quadrature.NODES <= _MAX_NODES
-    make = _short_integrals if is_cacheable else _long_integrals
-    return make(trajectory, duration, kink_axis)
+    make_integrals = _short_integrals if is_cacheable else _long_integrals
+    return make_integrals(trajectory, duration, kink_axis)
 
 
 def _make_integrals(

@@ -144,16 +144,16 @@ class Panels:
         values: At the nodes, shape (k, m).
         order: 1 for the integral from the first edge, 2 for the double integral.
         """
-        half, f = self._half, values.reshape(len(values), self._half.size, NODES)
-        series = np.empty((len(f), half.size, NODES + 2))
+        half_widths, f = self._half, values.reshape(len(values), self._half.size, NODES)
+        series = np.empty((len(f), half_widths.size, NODES + 2))
         if order == 1:
-            np.matmul(f * half[:, None], _SINGLE_INTEGRAL.T, out=series)
-            series[..., 0] += _cumulative_sum((f @ _WEIGHTS) * half)
+            np.matmul(f * half_widths[:, None], _SINGLE_INTEGRAL.T, out=series)
+            series[..., 0] += _cumulative_sum((f @ _WEIGHTS) * half_widths)
             return series
         # The slope at the panel's start goes on through it, as slope x half x (1 + x).
-        increments = _cumulative_sum((f @ _WEIGHTS) * half) * half
-        np.matmul(f * half[:, None] ** 2, _DOUBLE_INTEGRAL.T, out=series)
-        start = _cumulative_sum((f @ _DOUBLE_WEIGHTS) * half**2 + 2.0 * increments)
+        increments = _cumulative_sum((f @ _WEIGHTS) * half_widths) * half_widths
+        np.matmul(f * half_widths[:, None] ** 2, _DOUBLE_INTEGRAL.T, out=series)
+        start = _cumulative_sum((f @ _DOUBLE_WEIGHTS) * half_widths**2 + 2.0 * increments)
         series[..., 0] += start + increments
         series[..., 1] += increments
         return series

@@ -180,12 +180,14 @@ class Spindle:
         functions_at_zero, rates_at_zero, _ = (
             component[0] for component in error.functions(np.zeros(1))
         )
-        slow = len(POLYNOMIAL_NAMES)
-        start_rate = self.rate + float(rates_at_zero[:slow] @ coefficients[:slow])
+        n_polynomials = len(POLYNOMIAL_NAMES)
+        start_rate = self.rate + float(rates_at_zero[:n_polynomials] @ coefficients[:n_polynomials])
         curvature = self.rate * self.drift + error.rate * float(coefficients[2])
         wave_coefficients = {r.harmonic: self._wave(r) for r in self.ripples}
         for index, n in enumerate(error.harmonics):
-            pair = coefficients[slow + 2 * index : slow + 2 * index + 2] / abs(n * error.rate)
+            pair = coefficients[n_polynomials + 2 * index : n_polynomials + 2 * index + 2] / abs(
+                n * error.rate
+            )
             wave_coefficients[n] = wave_coefficients.get(n, 0j) + complex(pair[0], -pair[1])
         return Spindle(
             rate=start_rate,
@@ -373,8 +375,8 @@ def forecast_angle_error(time: Array, rate: float, noise: float, weights: Array)
 def _count_resolvable_harmonics(time: Array, rate: float) -> int:
     """Return the largest number of harmonics that the samples of a revolution can resolve."""
     spacing = median(np.diff(time)) if time.size > 1 else 0.0
-    resolvable = int(math.pi / abs(rate * spacing)) - 1 if spacing else 0
-    return min(_count_harmonics(time, MAX_HARMONICS), resolvable)
+    max_harmonic = int(math.pi / abs(rate * spacing)) - 1 if spacing else 0
+    return min(_count_harmonics(time, MAX_HARMONICS), max_harmonic)
 
 
 def _count_harmonics(time: Array, max_count: int) -> int:

@@ -303,8 +303,8 @@ def mean_products(stations: Stations, site: Site) -> Array:
     return means
 
 
-#: Places in `TERMS` of the products with a kink or a jump where a_I changes sign.
-_KINKED_INDICES: Final = [place for place, row in enumerate(TERMS.values()) if row.effect.has_kink]
+#: Indices in `TERMS` of the products with a kink or a jump where a_I changes sign.
+_KINKED_INDICES: Final = [index for index, row in enumerate(TERMS.values()) if row.effect.has_kink]
 
 #: Forces (g) and angles (rad) that differ by less are the same.
 _ROUNDING: Final = 1e-12
@@ -347,11 +347,11 @@ def _kinked_sine_means(mean: Array, amplitude: Array) -> Array:
 def _means_with_kinks(stations: Stations, site: Site) -> Array:
     """Return one station's means of products that have a kink, by panels between sign changes."""
     axes, end = stations.axes_under_load(), 2.0 * np.pi
-    axis, rotation = axes[0, 0] / site.gravity, stations.rotations(axes)[0]
+    input_axis, rotation = axes[0, 0] / site.gravity, stations.rotations(axes)[0]
     edges = np.linspace(0.0, end, _N_PANELS + 1)
 
     def excess_force(threshold: float, angle: Array) -> Array:
-        excess: Array = stations.forces(site, angle)[0] @ axis - threshold
+        excess: Array = stations.forces(site, angle)[0] @ input_axis - threshold
         return excess
 
     changes = [

@@ -131,7 +131,7 @@ _SPECIAL_UNITS: Final = {
 
 
 def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
-    asymmetry = "{} asymmetry, positive minus negative input"
+    template = "{} asymmetry, positive minus negative input"
     for symbol, factors, ieee_symbol, description in (
         ("K_F", "", "K0", "bias"),
         ("K_I", "I", "K1", "scale factor"),
@@ -145,8 +145,8 @@ def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
         ("K_PP", "P P", "Kpp", "second-order pendulous-axis coefficient"),
         ("K_OO", "O O", "Koo", "second-order output-axis coefficient"),
         ("K_OQ", "I |I|", "Koq", "odd quadratic coefficient"),
-        ("K_0_asym", "sign_I", "K0'", asymmetry.format("bias")),
-        ("K_I_asym", "|I|", "K1'", asymmetry.format("scale factor")),
+        ("K_0_asym", "sign_I", "K0'", template.format("bias")),
+        ("K_I_asym", "|I|", "K1'", template.format("scale factor")),
         ("K_spin", "w_I w_P", "Kspin", "spin coefficient of input and pendulous axes"),
         ("K_ang", "dw_O/dt", "Kang", "output-axis angular acceleration coefficient"),
         ("delta_O", "P", "delta_o", "misalignment about the output axis"),
@@ -405,14 +405,14 @@ def _input_rows() -> Iterator[Term[Input]]:
     delay, cutoff = "delay of the recorded angle", "low-pass cutoff frequency of the recorder"
     frequency_source, cutoff_source = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz"
     table_source, multiples = "standard uncertainty in the response table", (-100.0, 100.0)
-    poles, position = (-0.5 * math.pi, 0.5 * math.pi), "position error of 30 m on the ground"
+    poles, latitude_source = (-0.5 * math.pi, 0.5 * math.pi), "position error of 30 m on the ground"
     clock_source = "a free-running quartz oscillator"
     # symbol, description, unit, possible range, largest credible and default error, source
     for symbol, description, unit, bounds, limit, typical_size, source in (
         ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radii),
         # On Earth, from Huascaran to the Arctic Ocean.
         ("site.gravity", "gravity of the site", "m/s^2", (9.76, 9.84), 0.08, 1e-4, gravity_source),
-        ("site.latitude", "latitude of the site", "rad", poles, math.pi, 5e-6, position),
+        ("site.latitude", "latitude of the site", "rad", poles, math.pi, 5e-6, latitude_source),
         ("records.timing_offset", delay, "s", (-1.0, 1.0), 10.0, 1e-5, "one sample at 100 kHz"),
         ("records.clock", "recorder clock error", "1", (-1e-2, 1e-2), 1e-2, 2e-5, clock_source),
         (

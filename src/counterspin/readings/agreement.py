@@ -38,8 +38,8 @@ _ROUNDING: Final = 1e-9
 class MethodFit:
     """Fits with and without a test method, and their agreement."""
 
-    alone: JointFit  #: Fit of this method alone, with the priors.
-    without: Solution  #: Solution of the other methods, with the priors.
+    own_fit: JointFit  #: Fit of this method alone, with the priors.
+    other_solution: Solution  #: Solution of the other methods, with the priors.
     shift: Array  #: Estimates without the method minus estimates from all data, shape (p,).
     #: Standard uncertainty of the shift, shape (p,); NaN if omitting the method changes nothing.
     u_shift: Array
@@ -80,8 +80,8 @@ def _compare_motion(fit: JointFit, motion: str) -> MethodFit:
         shift_variance = shift_variance + np.diag(solution.covariance_undetected)
     chi2, dof = _prediction_chi2(method_fit.blocks, other_blocks, model)
     return MethodFit(
-        alone=method_fit,
-        without=other_solution,
+        own_fit=method_fit,
+        other_solution=other_solution,
         shift=other_solution.estimate - solution.estimate,
         u_shift=np.sqrt(
             np.where(shift_variance > _ROUNDING * other_variances, shift_variance, np.nan)

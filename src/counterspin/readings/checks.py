@@ -156,9 +156,9 @@ def _check_residual_dof(view: AccelerometerView) -> list[Finding]:
         return []
     count = sum(group.readings.size for group in stated_groups)
     dof_text = format_number(dof, 2)
-    remaining = "degree of freedom remains" if dof_text == "1" else "degrees of freedom remain"
+    dof_clause = "degree of freedom remains" if dof_text == "1" else "degrees of freedom remain"
     text = (
-        f"After the fit of {count} readings, {dof_text} {remaining}, so patterns "
+        f"After the fit of {count} readings, {dof_text} {dof_clause}, so patterns "
         "in the residuals, such as a drift, hysteresis or a "
         f"missing term, cannot be detected{_detection_clause(dof)}. Take more readings, or "
         "state priors for more terms."
@@ -223,13 +223,13 @@ def pattern_columns(fit: JointFit, group: ResidualGroup) -> tuple[Alternative, .
         (term.owner, term.symbol): math.isfinite(term.prior[1]) for term in fit.model.unknowns
     }
     if readings.triad:
-        stated_keys = {key for key, stated in has_prior.items() if stated}
+        stated_keys = {key for key, is_stated in has_prior.items() if is_stated}
         return tuple(load_name(POSE_CANDIDATES)(readings, group.index, fit, has_prior, stated_keys))
     assert isinstance(readings, Readings)
     name = readings.accelerometer
     estimated_symbols = {symbol for owner, symbol in has_prior if owner in (name, "")}
     stated_symbols = {
-        symbol for (owner, symbol), stated in has_prior.items() if owner == name and stated
+        symbol for (owner, symbol), is_stated in has_prior.items() if owner == name and is_stated
     }
     return tuple(candidate_columns(readings, group.index, estimated_symbols, stated_symbols))
 
@@ -261,15 +261,15 @@ def _pattern_finding(
     name: str, group: FittedReadings, pattern: Pattern, lack_of_fit: Finding | None
 ) -> Finding:
     """Return the finding of a pattern in the residuals, the best explanation first."""
-    first = pattern.alternatives[0]
-    deviations = two_sided_z(pattern.p)
-    text = f"The residuals of the {group.label} {pattern_clause(first)} (p = {pattern.p:.2g})."
+    best = pattern.alternatives[0]
+    z = two_sided_z(pattern.p)
+    text = f"The residuals of the {group.label} {pattern_clause(best)} (p = {pattern.p:.2g})."
     alternative_terms = [
         alternative.symbol for alternative in pattern.alternatives if alternative.kind == TERM
     ]
-    if first.kind == TERM:
+    if best.kind == TERM:
         alternative_terms = alternative_terms[1:]
-    if first.kind == WAVE:
+    if best.kind == WAVE:
         alternatives_text = (
             f", or {' or '.join(alternative_terms)} in the accelerometer,"
             if alternative_terms
@@ -292,8 +292,8 @@ def _pattern_finding(
         code="lack-of-fit",
         subject=name,
         text=text,
-        size=deviations,
-        contradicts=deviations > CONTRADICTION_SIGMAS
+        size=z,
+        contradicts=z > CONTRADICTION_SIGMAS
         or (lack_of_fit is not None and lack_of_fit.contradicts),
     )
 
@@ -371,7 +371,9 @@ def _count_readings(outliers: Sequence[OutlyingReadings]) -> int:
 def _count_positions(outliers: Sequence[OutlyingReadings]) -> int:
     """Count the outlying positions; a reading within an outlying position does not count."""
     index_sets = [set(outlier.indices) for outlier in outliers]
-    return sum(1 for outlier in index_sets if not any(outlier < larger for larger in index_sets))
+    return sum(
+        1 for outlier in index_sets if not any(outlier < superset for superset in index_sets)
+    )
 
 
 def _outlier_finding(group: FittedReadings, name: str, outlier: OutlyingReadings) -> Finding:
@@ -443,7 +445,7 @@ def overstated_noise_remarks(views: Sequence[AccelerometerView]) -> Iterator[str
             continue
         u = median(group.sigma)
         scatter_text, stated_text = (
-            f"{format_number(1e6 * size, 2)} ug" for size in (ratio * u, u)
+            f"{format_number(1e6 * noise, 2)} ug" for noise in (ratio * u, u)
         )
         name = TRIAD if group.readings.triad else group.readings.accelerometer
         yield (

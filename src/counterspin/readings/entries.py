@@ -201,14 +201,16 @@ def resolve_readings(
         if readings is None:
             readings = _resolve_run(raw, path, mountings, outputs, folder, problems, gravity)
             similar_indices = indices_by_pattern.pop(patterns[index], []) if readings else []
-            similar_indices = [member for member in similar_indices if member > index]
+            similar_indices = [
+                similar_index for similar_index in similar_indices if similar_index > index
+            ]
             if similar_indices:
-                rows = [runs[member][0] for member in similar_indices]
+                rows = [runs[similar_index][0] for similar_index in similar_indices]
                 row_readings = convert_rows(rows, readings, mountings, outputs, gravity)
                 pairs = zip(similar_indices, row_readings, strict=True)
                 converted_readings |= {
-                    member: member_readings
-                    for member, member_readings in pairs
+                    similar_index: member_readings
+                    for similar_index, member_readings in pairs
                     if member_readings is not None
                 }
         yield path, [_set_duration(reading, turns) for reading in readings]

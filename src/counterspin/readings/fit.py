@@ -217,35 +217,36 @@ def _solve(
         for index, unknown in enumerate(model.unknowns)
         if unknown.owner in pose_accelerometers
     ]
-    for count in range(_MAX_ITERATIONS):
+    for iteration in range(_MAX_ITERATIONS):
         linear_groups = [group.linearize(model, point, variance) for group in readings]
         # The columns do not depend on the noise.
         for _ in range(_MAX_NOISE_ITERATIONS):
             weighted_groups = [
-                part.with_noise(size) for part, size in zip(linear_groups, noise, strict=True)
+                linear.with_noise(noise_sd)
+                for linear, noise_sd in zip(linear_groups, noise, strict=True)
             ]
             fit, previous = _joint_fit(records, weighted_groups, model), noise
             relaxed_groups = [
-                part.with_considered_estimated(len(model.unknowns)) for part in weighted_groups
+                linear.with_considered_estimated(len(model.unknowns)) for linear in weighted_groups
             ]
             if noise_fit is not None:
                 break
             noise = [
                 _update_noise(
                     group,
-                    part,
+                    linear,
                     fit.solution_with_considered,
                     Unknowns(model.unknowns),
                     previous_noise,
                     free_count,
                 )
-                for group, part, previous_noise in zip(
+                for group, linear, previous_noise in zip(
                     readings, relaxed_groups, previous, strict=True
                 )
             ]
             changes = (
-                abs(updated / last_noise - 1.0)
-                for updated, last_noise in zip(noise, previous, strict=True)
+                abs(new_noise / last_noise - 1.0)
+                for new_noise, last_noise in zip(noise, previous, strict=True)
             )
             if max(changes) < _NOISE_TOLERANCE:
                 break
@@ -257,7 +258,7 @@ def _solve(
         variance = sd**2
         relative_moves = np.abs(new_point - point) / np.where(sd > 0, sd, 1.0)
         # Positioning errors may oscillate, so the step is halved.
-        point = new_point if count < _MAX_UNDAMPED_ITERATIONS else 0.5 * (point + new_point)
+        point = new_point if iteration < _MAX_UNDAMPED_ITERATIONS else 0.5 * (point + new_point)
         if relative_moves.max(initial=0.0) < _STEP_TOLERANCE:
             break
     else:
@@ -272,14 +273,14 @@ def _solve(
             "priors for the machine terms, or state the standard uncertainties of the readings"
         )
     dof = [
-        part.noise_dof(solution) + group.repeat_dof if group.u is None else math.inf
-        for group, part in zip(readings, relaxed_groups, strict=True)
+        linear.noise_dof(solution) + group.repeat_dof if group.u is None else math.inf
+        for group, linear in zip(readings, relaxed_groups, strict=True)
     ]
     if noise_fit is not None:
         dof = [group.noise_dof for group in noise_fit.groups]
     estimated_noise = {
-        part.source: Noise(size)
-        for group, part, size in zip(readings, linear_groups, noise, strict=True)
+        linear.source: Noise(noise_sd)
+        for group, linear, noise_sd in zip(readings, linear_groups, noise, strict=True)
         if group.u is None
     }
     fit = replace(fit, noise=estimated_noise)
@@ -295,8 +296,10 @@ def _solve(
             undetected_walks=records.undetected_walks,
         )
     groups = (
-        FittedReadings(group, part, size, noise_dof)
-        for group, part, size, noise_dof in zip(readings, linear_groups, noise, dof, strict=True)
+        FittedReadings(group, linear, noise_sd, noise_dof)
+        for group, linear, noise_sd, noise_dof in zip(
+            readings, linear_groups, noise, dof, strict=True
+        )
     )
     return ReadingsFit(fit, tuple(groups))
 

@@ -132,8 +132,8 @@ class FittedReadings:
         noise = None
         if not self.has_external_noise:
             # The noise was estimated with considered terms as unknowns.
-            relaxed = linear.with_considered_estimated(len(model.unknowns))
-            noise = (relaxed, fit.solution_with_considered, group.repeat_dof)
+            group_with_considered = linear.with_considered_estimated(len(model.unknowns))
+            noise = (group_with_considered, fit.solution_with_considered, group.repeat_dof)
         single_readings = [(index,) for index in range(group.size)]
         positions = evaluate_positions(
             linear, [*single_readings, *group.replicates], solution, model, noise
@@ -164,7 +164,7 @@ class FittedReadings:
             return []
         positions = [*self.positions, *self.single_readings]
         z, significance = (
-            [item.studentized for item in positions],
+            [position.studentized for position in positions],
             _POSITION_SIGNIFICANCE / len(positions),
         )
         outliers: list[OutlyingReadings] = []

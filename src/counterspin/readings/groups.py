@@ -38,8 +38,8 @@ def numbered_groups(
         (
             _make_group(
                 campaign,
-                [readings[member] for member in indices],
-                [assumed_temperatures.get(member, 0.0) for member in indices],
+                [readings[index] for index in indices],
+                [assumed_temperatures.get(index, 0.0) for index in indices],
             ),
             indices,
         )

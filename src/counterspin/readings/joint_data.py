@@ -92,8 +92,8 @@ class ReadingsAndPoses(ReadingData):
                 fields={
                     "readings": [
                         reading_result
-                        for part in reading_groups(view)
-                        for reading_result in reading_results(part, means)
+                        for group in reading_groups(view)
+                        for reading_result in reading_results(group, means)
                     ],
                     "kinds": comparisons[view.name].results,
                     "unseen_faults": faults[view.name],
@@ -227,10 +227,12 @@ def reading_results(
             value=value,
             u=u,
             residual=residual,
-            z=None if math.isnan(single.standardized) else single.standardized,
+            z=None
+            if math.isnan(residuals_of_reading.standardized)
+            else residuals_of_reading.standardized,
             **_record_fields(means.get((group.accelerometer, name))),
         )
-        for name, mounting, single, axes, rate, amplitude, value, u, residual in rows
+        for name, mounting, residuals_of_reading, axes, rate, amplitude, value, u, residual in rows
     ]
 
 

@@ -224,19 +224,19 @@ class Readings:
         """Return no parameter: attitudes are known."""
         return ()
 
-    def curvature(self, model: Unknowns, estimate: Array, moves: Array) -> Array:  # noqa: ARG002
+    def curvature(self, model: Unknowns, estimate: Array, steps: Array) -> Array:  # noqa: ARG002
         """Return zeros: a reading is nearly linear in its unknowns."""
-        return np.zeros((self.size, moves.shape[1]))
+        return np.zeros((self.size, steps.shape[1]))
 
     def insufficient_noise_message(
         self,
-        freedom: float,
-        free: int,  # noqa: ARG002
+        dof: float,
+        n_free: int,  # noqa: ARG002
         solution: Solution,  # noqa: ARG002
         model: Unknowns,  # noqa: ARG002
     ) -> str:
         """Return an error message if the residuals do not determine the noise, else ''."""
-        if freedom >= 0.5:
+        if dof >= 0.5:
             return ""
         return (
             f"{self.accelerometer}: {self.size} readings ({self.motion}) without a stated "
@@ -244,7 +244,7 @@ class Readings:
             "uncertainty, or take more readings than there are unknowns"
         )
 
-    def divergence_message(self, rounds: int) -> str:  # noqa: ARG002
+    def divergence_message(self, n_iterations: int) -> str:  # noqa: ARG002
         """Return no cause, because the fit names the reading with the largest residual."""
         return ""
 

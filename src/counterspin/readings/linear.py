@@ -100,7 +100,7 @@ class ReadingGroup(Protocol):
         """Return the group with a stated noise of one repeat, g."""
 
     def with_rotated_mounting(
-        self, name: str, turn: Callable[[Mounting], Mounting]
+        self, name: str, rotate: Callable[[Mounting], Mounting]
     ) -> ReadingGroup:
         """Return the group with a rotated accelerometer."""
 
@@ -116,29 +116,29 @@ class ReadingGroup(Protocol):
         model: Model without these priors.
         """
 
-    def curvature(self, model: Unknowns, estimate: Array, moves: Array) -> Array:
+    def curvature(self, model: Unknowns, estimate: Array, steps: Array) -> Array:
         """Return the second-order change of each row for steps of the unknowns, shape (n, m).
 
-        moves: Steps of the unknowns from the estimate, shape (p, m).
+        steps: Steps of the unknowns from the estimate, shape (p, m).
         """
 
     def insufficient_noise_message(
-        self, freedom: float, free: int, solution: Solution, model: Unknowns
+        self, dof: float, n_free: int, solution: Solution, model: Unknowns
     ) -> str:
         """Return an error message if the residuals do not determine the noise, else ''.
 
-        freedom: Degrees of freedom of the residuals and of repeats.
-        free: Number of unknowns that the group alone determines.
+        dof: Degrees of freedom of the residuals and of repeats.
+        n_free: Number of unknowns that the group alone determines.
         """
 
-    def divergence_message(self, rounds: int) -> str:
+    def divergence_message(self, n_iterations: int) -> str:
         """Return an error message on a fit that did not converge; empty: unknown cause."""
 
 
 def noise_source(group: ReadingGroup) -> str:
     """Return the name of the noise of a group: accelerometer, motion and kind of noise."""
-    estimated = "" if group.u is not None else " (estimated)"
-    return f"{group.accelerometer}: {READING_LABELS[group.motion]}{estimated}"
+    suffix = "" if group.u is not None else " (estimated)"
+    return f"{group.accelerometer}: {READING_LABELS[group.motion]}{suffix}"
 
 
 @frozen
@@ -332,6 +332,9 @@ def rows_at(
     """Return the rows of `blocks_at`, reading by reading, with unit variance."""
     linear_groups = [group.linearize(model, estimate) for group in readings]
     return [
-        (part.design / part.sigma[:, None], part.considered_design / part.sigma[:, None])
-        for part in linear_groups
+        (
+            linear_group.design / linear_group.sigma[:, None],
+            linear_group.considered_design / linear_group.sigma[:, None],
+        )
+        for linear_group in linear_groups
     ]

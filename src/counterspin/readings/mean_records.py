@@ -82,7 +82,7 @@ def average_record(campaign: Campaign, reading: Reading) -> AveragedRecord:
     assert reading.record is not None
     channel = campaign.accelerometers[reading.accelerometer].force
     assert channel is not None
-    source = campaign.record_at(reading.record)
+    record_source = campaign.record_at(reading.record)
     columns = RecordColumns(
         campaign.time,
         campaign.angle if reading.uses_recorder_clock else None,
@@ -90,7 +90,7 @@ def average_record(campaign: Campaign, reading: Reading) -> AveragedRecord:
         campaign.dialect,
         needs_angle=False,
     )
-    record = read_rows(source, columns, reading.rate)
+    record = read_rows(record_source, columns, reading.rate)
     rotation, row_rotation = None, stated_rotation(record.time, reading.rate)
     if record.angle is not None:
         rotation = _fit_record_rotation(campaign, reading, record)

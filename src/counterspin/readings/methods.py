@@ -65,7 +65,7 @@ def compare_methods(views: Sequence[AccelerometerView]) -> dict[str, MethodCompa
         ]
         separate_view = view.select_groups(
             [
-                group.evaluate(method_fits[group.readings.motion].alone)
+                group.evaluate(method_fits[group.readings.motion].own_fit)
                 for group in groups_of_view(view)
             ]
         )
@@ -82,7 +82,7 @@ def _select_record_fit(
     """Return a view with the fit of the records alone."""
     if not view.fit.design_blocks:
         return view
-    record_fit = method_fits["counter-rotating"].alone
+    record_fit = method_fits["counter-rotating"].own_fit
     return replace(view, estimate=replace(view.estimate, fit=record_fit))
 
 
@@ -91,9 +91,9 @@ def _count_by_motion(view: AccelerometerView) -> dict[str, int]:
     counts: dict[str, int] = {}
     if view.has_records:
         counts["counter-rotating"] = sum(1 for _ in view.records())
-    for part in groups_of_view(view):
-        motion = part.readings.motion
-        counts[motion] = counts.get(motion, 0) + part.readings.size
+    for group in groups_of_view(view):
+        motion = group.readings.motion
+        counts[motion] = counts.get(motion, 0) + group.readings.size
     return counts
 
 
@@ -102,7 +102,7 @@ def _method_agreement(
 ) -> MethodAgreement:
     is_determined_alone, is_determined_without = (
         _find_determined(view, solution)
-        for solution in (method_fit.alone.solution, method_fit.without)
+        for solution in (method_fit.own_fit.solution, method_fit.other_solution)
     )
     if motion == "static" and not _has_square_terms(view):
         # At rest, the squared components add up to g^2, so K_II includes K_PP and K_OO.
@@ -112,7 +112,7 @@ def _method_agreement(
         count=count,
         coefficients={
             symbol: _coefficient(
-                view, method_fit.alone.solution, symbol, is_determined_alone[symbol]
+                view, method_fit.own_fit.solution, symbol, is_determined_alone[symbol]
             )
             for symbol in view.indices
         },

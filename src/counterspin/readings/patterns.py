@@ -419,8 +419,8 @@ def best_patterns(
             continue
         usable_columns = [
             column
-            for column, flag in zip(group_columns, is_usable_in_group.tolist(), strict=True)
-            if flag
+            for column, is_usable in zip(group_columns, is_usable_in_group.tolist(), strict=True)
+            if is_usable
         ]
         unit_columns = remainder[:, is_usable_in_group] / norms[is_usable_in_group]
         is_collinear = np.abs(unit_columns.T @ unit_columns) > _COLLINEAR

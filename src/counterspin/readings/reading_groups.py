@@ -15,7 +15,7 @@ def groups_of_view(view: AccelerometerView) -> tuple[FittedReadings, ...]:
 
 def reading_groups(view: AccelerometerView) -> tuple[FittedReadings, ...]:
     """Return the groups of readings at known attitudes."""
-    return tuple(part for part in groups_of_view(view) if not part.readings.triad)
+    return tuple(group for group in groups_of_view(view) if not group.readings.triad)
 
 
 def pose_groups(view: AccelerometerView) -> tuple[FittedReadings, ...]:

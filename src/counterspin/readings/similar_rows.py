@@ -99,11 +99,11 @@ class _RowColumns:
                 value, u = self._convert([row[key] for row in self._rows], unit)
                 fields |= {key: value.tolist()} | ({f"u_{key}": u.tolist()} if u[0] > 0.0 else {})
         if isinstance(first_row.get("temperature"), Quantity):
-            kelvin = np.array([row["temperature"].value for row in self._rows])
-            kelvin += TEMPERATURE_SCALES[first_row["temperature"].unit]
-            coldest, warmest = OPERATING_TEMPERATURES
-            self.valid &= (kelvin >= coldest) & (kelvin <= warmest)
-            fields["temperature"] = [(temperature,) for temperature in kelvin.tolist()]
+            temperatures = np.array([row["temperature"].value for row in self._rows])
+            temperatures += TEMPERATURE_SCALES[first_row["temperature"].unit]
+            min_temperature, max_temperature = OPERATING_TEMPERATURES
+            self.valid &= (temperatures >= min_temperature) & (temperatures <= max_temperature)
+            fields["temperature"] = [(temperature,) for temperature in temperatures.tolist()]
         return fields
 
     def value_fields(

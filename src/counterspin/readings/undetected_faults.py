@@ -112,10 +112,10 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
     return {
         name: [
             fault.clause
-            for fault in sorted(kinds.values(), reverse=True)
+            for fault in sorted(faults_by_kind.values(), reverse=True)
             if fault.ratio > _MIN_SHIFT_RATIO
         ]
-        for name, kinds in faults_by_name.items()
+        for name, faults_by_kind in faults_by_name.items()
     }
 
 
@@ -123,11 +123,13 @@ def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
     """Yield a remark for each accelerometer with undetected faults."""
     for name, clauses in faults.items():
         if clauses:
-            these, them = ("this fault", "it") if len(clauses) == 1 else ("these faults", "them")
+            subject, pronoun = (
+                ("this fault", "it") if len(clauses) == 1 else ("these faults", "them")
+            )
             single_range = any(_METER_GAIN in clause for clause in clauses)
             yield (
-                f"{name}: the residuals would not reveal {these}: {'; '.join(clauses)}. Rule "
-                f"{them} out by other means: repeat the series in another order"
+                f"{name}: the residuals would not reveal {subject}: {'; '.join(clauses)}. Rule "
+                f"{pronoun} out by other means: repeat the series in another order"
                 f"{', or use a single range of the meter' * single_range}."
             )
 

@@ -57,11 +57,11 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
 
 def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
     """Return the finding that the residuals of poses follow something."""
-    first = pattern.alternatives[0]
-    deviations = two_sided_z(pattern.p)
-    clause = pattern_clause(first)
-    if first.kind == TERM:
-        clause = clause.replace(first.symbol, first.name, 1)
+    best = pattern.alternatives[0]
+    z = two_sided_z(pattern.p)
+    clause = pattern_clause(best)
+    if best.kind == TERM:
+        clause = clause.replace(best.symbol, best.name, 1)
         other_terms = [
             alternative.name for alternative in pattern.alternatives[1:] if alternative.kind == TERM
         ]
@@ -72,23 +72,23 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
         )
     else:
         owners = dict.fromkeys(
-            candidate.owner for candidate in pattern.alternatives if candidate.kind == first.kind
+            candidate.owner for candidate in pattern.alternatives if candidate.kind == best.kind
         )
         clause += f", mainly in {' or '.join(owners)}"
         remedy = (
             " Check whether the sensor was knocked or switched off."
-            if first.kind == STEP
+            if best.kind == STEP
             else (
                 " Let the sensor warm up before the test, or add K_F.trend to "
-                f"model.terms{', with the time of each pose' if first.symbol == 'order' else ''}."
+                f"model.terms{', with the time of each pose' if best.symbol == 'order' else ''}."
             )
         )
     return Finding(
         code="lack-of-fit",
         subject=TRIAD,
         text=f"The residuals of the {group.label} {clause} (p = {pattern.p:.2g}).{remedy}",
-        size=deviations,
-        contradicts=deviations > CONTRADICTION_SIGMAS,
+        size=z,
+        contradicts=z > CONTRADICTION_SIGMAS,
     )
 
 

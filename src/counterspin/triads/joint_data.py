@@ -53,12 +53,12 @@ class TriadInFit:
         """Return the findings of tests of the residuals of poses."""
         # All accelerometers usually share the fit and the groups.
         key = (id(fit), *map(id, groups))
-        if key not in self._tested:
-            self._tested[key] = fit, groups, pose_findings(fit, groups)
-        return self._tested[key][2]
+        if key not in self._findings_cache:
+            self._findings_cache[key] = fit, groups, pose_findings(fit, groups)
+        return self._findings_cache[key][2]
 
     @cached_property
-    def _tested(self) -> dict[tuple[int, ...], tuple[JointFit, Any, list[Finding]]]:
+    def _findings_cache(self) -> dict[tuple[int, ...], tuple[JointFit, Any, list[Finding]]]:
         """Fits and groups that were tested, by identity, with their findings."""
         return {}
 

@@ -229,16 +229,16 @@ class TriadPoses:
         return undetermined_parameters(fit, model, candidates)
 
     def insufficient_noise_message(
-        self, freedom: float, free: int, solution: Solution, model: Unknowns
+        self, dof: float, n_free: int, solution: Solution, model: Unknowns
     ) -> str:
         """Return the error that the residuals do not determine their noise; as in `Measured`."""
-        if freedom >= 0.5 and self.size + self.repeat_dof > free:
+        if dof >= 0.5 and self.size + self.repeat_dof > n_free:
             return ""
         return _insufficient_poses_error(self, solution, model)
 
-    def divergence_message(self, rounds: int) -> str:
+    def divergence_message(self, n_iterations: int) -> str:
         """Return the error that the fit did not converge in so many rounds."""
-        return _divergence_error(self, rounds)
+        return _divergence_error(self, n_iterations)
 
 
 @frozen
@@ -484,7 +484,7 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
     )
 
 
-def _divergence_error(poses: TriadPoses, rounds: int) -> str:
+def _divergence_error(poses: TriadPoses, n_iterations: int) -> str:
     """Return why poses may leave a fit without an end: they lie too near each other."""
     unit_vectors = poses.value / np.linalg.norm(poses.value, axis=1)[:, None]
     mean_direction = unit_vectors.mean(axis=0)
@@ -494,7 +494,7 @@ def _divergence_error(poses: TriadPoses, rounds: int) -> str:
         )
     )
     return (
-        f"{poses.accelerometer}: the fit of {poses.size} poses did not converge in {rounds} "
-        f"rounds. The directions of the poses lie within {max_angle:.0f} deg of each other; "
+        f"{poses.accelerometer}: the fit of {poses.size} poses did not converge in "
+        f"{n_iterations} rounds. The directions of the poses lie within {max_angle:.0f} deg of each other; "
         "measure poses in all directions, or state priors for the coefficients."
     )

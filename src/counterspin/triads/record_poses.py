@@ -51,11 +51,7 @@ def campaign_poses(campaign: Campaign) -> list[LocatedPose]:
     stated_poses = [LocatedPose(pose) for pose in campaign.triad.poses]
     return [
         *stated_poses,
-        *(
-            extracted
-            for record in campaign.triad.records
-            for extracted in extract_poses(campaign, record)
-        ),
+        *(pose for record in campaign.triad.records for pose in extract_poses(campaign, record)),
     ]
 
 
@@ -89,14 +85,14 @@ def extract_poses(campaign: Campaign, record: PoseRecord) -> Iterator[LocatedPos
     start_time = reference_point(campaign).time if record.time is None else record.time
     in_si = {name: not channel.in_g for name, channel in _force_columns(campaign).items()}
     columns = pose_columns(campaign, record)
-    detected, table = read_poses(source, columns, record.min_rest, record.threshold)
-    source_record = RecordWithPoses(record.name, detected, table.report)
-    temperatures, mid_times = record.temperature, 0.5 * (detected.start + detected.end)
-    knot_times = np.linspace(detected.time[0], detected.time[-1], len(temperatures or ()))
-    rows = zip(detected.start, mid_times, detected.mean / g, strict=True)
+    intervals, table = read_poses(source, columns, record.min_rest, record.threshold)
+    source_record = RecordWithPoses(record.name, intervals, table.report)
+    temperatures, mid_times = record.temperature, 0.5 * (intervals.start + intervals.end)
+    knot_times = np.linspace(intervals.time[0], intervals.time[-1], len(temperatures or ()))
+    rows = zip(intervals.start, mid_times, intervals.mean / g, strict=True)
     for index, (start, mid_time, mean) in enumerate(rows):
         conditions = stated_conditions(record)
-        conditions["time"] = start_time + float(start - detected.time[0])
+        conditions["time"] = start_time + float(start - intervals.time[0])
         if temperatures:
             conditions["temperature"] = (float(np.interp(mid_time, knot_times, temperatures)),)
         pose = tuple(

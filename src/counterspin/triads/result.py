@@ -95,15 +95,15 @@ def triad_result(
         group = fitted_group.readings
         if not isinstance(group, TriadPoses):
             continue
-        solved = group.at(model, estimate.fit.solution.estimate)
-        poses += _pose_results(group, fitted_group, solved, poses_by_name)
+        solved_poses = group.at(model, estimate.fit.solution.estimate)
+        poses += _pose_results(group, fitted_group, solved_poses, poses_by_name)
         nominal_inverse = np.linalg.inv(group.axes[:, 0])
         norms_before.append(np.linalg.norm(group.value @ nominal_inverse.T, axis=1) - 1.0)
         if matrix is not None:
             corrected_values = (
-                group.value - _nonlinear_effects(campaign, solved) - linear_model.bias
+                group.value - _nonlinear_effects(campaign, solved_poses) - linear_model.bias
             )
-            corrected_values -= _slope_effects(group, solved, model.of_interest)
+            corrected_values -= _slope_effects(group, solved_poses, model.of_interest)
             norms_after.append(np.linalg.norm(corrected_values @ matrix.T, axis=1) - 1.0)
     gravity = campaign.gravity.value
     return TriadResult(
@@ -254,7 +254,7 @@ def _derive_parameters(
 
 
 def _misalignment_slopes(
-    linear: _LinearModel, name: str, sensitivity: float, requested: Sequence[Unknown]
+    linear_model: _LinearModel, name: str, sensitivity: float, requested: Sequence[Unknown]
 ) -> Array:
     """Return slopes of a sensitivity, (p,), that stand for the squares of its misalignments.
 
@@ -273,7 +273,7 @@ def _misalignment_slopes(
         if symbol.startswith("delta_")
     }
     rms_factor = math.sqrt(len(misalignments) / 4.0 + 0.5)
-    return linear.slopes(
+    return linear_model.slopes(
         name,
         {
             symbol: rms_factor * default_sd / sensitivity
@@ -283,14 +283,14 @@ def _misalignment_slopes(
 
 
 def _make_coefficient(
-    estimated: Estimate, parameter: _DerivedParameter, groups: Sequence[FittedReadings]
+    estimate: Estimate, parameter: _DerivedParameter, groups: Sequence[FittedReadings]
 ) -> Coefficient:
     """Return a parameter as a result shows it; one that is not determined has no value."""
-    fit = estimated.fit
+    fit = estimate.fit
     if np.max(np.abs(parameter.slopes), initial=0.0) < _NEGLIGIBLE_SLOPE:
         return Coefficient(value=parameter.value, u=0.0, unit=parameter.unit, estimated=False)
     combination = fit.solution.combine(parameter.slopes)
-    if not combination.u < parameter.limit or _is_default_only(estimated, parameter, combination):
+    if not combination.u < parameter.limit or _is_default_only(estimate, parameter, combination):
         return Coefficient(value=None, u=None, unit=parameter.unit, estimated=False)
     indices = np.flatnonzero(np.abs(parameter.slopes) > _NEGLIGIBLE_SLOPE)
     prior_u = float(np.linalg.norm(parameter.slopes[indices] * fit.solution.prior_sd[indices]))
@@ -306,17 +306,17 @@ def _make_coefficient(
         u_noise=u_noise,
         u_stated=u_stated,
         u_unstated=u_unstated,
-        dof=finite_dof(_parameter_dof(estimated, parameter.slopes, groups)),
+        dof=finite_dof(_parameter_dof(estimate, parameter.slopes, groups)),
         unit=parameter.unit,
         estimated=True,
     )
 
 
 def _is_default_only(
-    estimated: Estimate, parameter: _DerivedParameter, combination: Combination
+    estimate: Estimate, parameter: _DerivedParameter, combination: Combination
 ) -> bool:
     """Return whether a parameter is known only by default priors of undetermined unknowns."""
-    fit = estimated.fit
+    fit = estimate.fit
     has_fallback_prior = [unknown.uses_fallback_prior for unknown in fit.model.unknowns]
     slopes, contributions = (
         parameter.slopes[has_fallback_prior],
@@ -327,22 +327,22 @@ def _is_default_only(
     return bool(is_dependent and np.linalg.norm(contributions) > _DEFAULT_FRACTION * prior_norm)
 
 
-def _parameter_dof(estimated: Estimate, slopes: Array, groups: Sequence[FittedReadings]) -> float:
+def _parameter_dof(estimate: Estimate, slopes: Array, groups: Sequence[FittedReadings]) -> float:
     """Return the degrees of freedom of a parameter; of records' noise the least of its parts."""
-    fit, record_dof = estimated.fit, math.inf
+    fit, record_dof = estimate.fit, math.inf
     if fit.design_blocks:
-        record_dof = float(np.min(estimated.dof[np.abs(slopes) > _NEGLIGIBLE_SLOPE]))
+        record_dof = float(np.min(estimate.dof[np.abs(slopes) > _NEGLIGIBLE_SLOPE]))
     dof = [group.noise_dof for group in groups]
     return combination_dof(slopes, fit, dof, record_dof)
 
 
 def _correlation(
-    estimated: Estimate, parameters: Mapping[str, _DerivedParameter]
+    estimate: Estimate, parameters: Mapping[str, _DerivedParameter]
 ) -> Correlation | None:
     if not parameters:
         return None
     slopes = np.array([parameter.slopes for parameter in parameters.values()])
-    covariance = slopes @ estimated.fit.solution.covariance @ slopes.T
+    covariance = slopes @ estimate.fit.solution.covariance @ slopes.T
     u = np.sqrt(np.diag(covariance))
     return Correlation(terms=list(parameters), matrix=(covariance / np.outer(u, u)).tolist())
 
@@ -365,18 +365,18 @@ def _gravity_sensitivities(
     return {}
 
 
-def _u_matrix(estimated: Estimate, linear: _LinearModel, matrix: Array) -> list[list[float]]:
+def _u_matrix(estimate: Estimate, linear_model: _LinearModel, matrix: Array) -> list[list[float]]:
     """Return the standard uncertainties of the matrix: it moves by -M dR M with the rows R."""
     u_values = np.zeros((3, 3))
     for row, column in np.ndindex(3, 3):
         slopes = sum(
             (
-                linear.row_slopes(axis_index, -matrix[row, axis_index] * matrix[:, column])
+                linear_model.row_slopes(axis_index, -matrix[row, axis_index] * matrix[:, column])
                 for axis_index in range(3)
             ),
-            np.zeros(linear.count),
+            np.zeros(linear_model.count),
         )
-        u_values[row, column] = estimated.fit.solution.combine(slopes).u
+        u_values[row, column] = estimate.fit.solution.combine(slopes).u
     return u_values.tolist()
 
 
@@ -444,15 +444,15 @@ def _rms(norm_deviations: Sequence[Array], gravity: float) -> float | None:
 def _record_results(poses: Iterable[LocatedPose]) -> dict[str, PosesInRecord]:
     """Return the results of the records with poses."""
     records = {pose.record.name: pose.record.poses for pose in poses if pose.record is not None}
-    traces = {name: detected.trace(_TRACE_POINTS) for name, detected in records.items()}
+    traces = {name: intervals.trace(_TRACE_POINTS) for name, intervals in records.items()}
     return {
         name: PosesInRecord(
-            poses=len(detected.start),
-            threshold=detected.threshold,
-            contrast=detected.contrast if math.isfinite(detected.contrast) else None,
-            notes=[*detected.rejected, *detected.warnings],
+            poses=len(intervals.start),
+            threshold=intervals.threshold,
+            contrast=intervals.contrast if math.isfinite(intervals.contrast) else None,
+            notes=[*intervals.rejected, *intervals.warnings],
             time=traces[name][0].round(6).tolist(),
             level=[float(f"{level:.4g}") for level in traces[name][1]],
         )
-        for name, detected in records.items()
+        for name, intervals in records.items()
     }

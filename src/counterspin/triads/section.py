@@ -57,7 +57,10 @@ def apply_default_axes(tables: Mapping[str, Any], triad: Any) -> Mapping[str, An
         not isinstance(table, Mapping) or _AXES_KEYS & table.keys() for table in own_tables
     ):
         return tables
-    axes = [{"input_axis": one, "pendulous_axis": other} for one, other in DEFAULT_AXES]
+    axes = [
+        {"input_axis": input_axis, "pendulous_axis": pendulous_axis}
+        for input_axis, pendulous_axis in DEFAULT_AXES
+    ]
     return {**tables, **{n: {**a, **tables[n]} for n, a in zip(names, axes, strict=True)}}
 
 
@@ -130,10 +133,10 @@ def _resolve_axes(
             problems.add(
                 ("triad", "accelerometers", index), f'"{name}" is listed twice', "duplicate-entry"
             )
-    axes = [own for own in map(mountings.get, names) if own is not None]
+    axes = [mounting for mounting in map(mountings.get, names) if mounting is not None]
     if len(problems.lines) > error_count or len(axes) < len(names):
         return []
-    if names and abs(np.linalg.det([own.input_axis for own in axes])) < _MIN_VOLUME:
+    if names and abs(np.linalg.det([mounting.input_axis for mounting in axes])) < _MIN_VOLUME:
         problems.add(
             ("triad", "accelerometers"),
             "the input axes of the three accelerometers lie (nearly) in one plane",
@@ -150,10 +153,12 @@ def _frame_misalignments(
 
     The second one's is that towards the normal of the plane of both.
     """
-    first, second = axes[0].matrix, axes[1].matrix
-    normal = np.cross(first[0], second[0])
+    first_axes, second_axes = axes[0].matrix, axes[1].matrix
+    normal = np.cross(first_axes[0], second_axes[0])
     normal /= np.linalg.norm(normal)
-    is_normal = [abs(abs(float(axis @ normal)) - 1.0) < _ALIGNMENT_TOLERANCE for axis in second[1:]]
+    is_normal = [
+        abs(abs(float(axis @ normal)) - 1.0) < _ALIGNMENT_TOLERANCE for axis in second_axes[1:]
+    ]
     if not any(is_normal):
         problems.add(
             ("accelerometers", names[1], "pendulous_axis"),

@@ -234,13 +234,13 @@ def _sampling_step(time: Array, rest: float) -> float:
     return step
 
 
-def _outlier_mask(values: Array, rows: int, resolutions: Array) -> np.ndarray:
+def _outlier_mask(values: Array, block_rows: int, resolutions: Array) -> np.ndarray:
     """Return which values, one or two in a row, stand far off their neighbours, shape (n, 3).
 
     A median of five does not see them. The motions of a hand are no smooth waves, so that
     `counterspin.records.outliers` would take their ends for outliers.
 
-    rows: In a stretch whose scatter is one.
+    block_rows: In a stretch whose scatter is one.
     """
     padded_values = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
     a, b, c, d, e = (padded_values[offset : offset + len(values)] for offset in range(5))
@@ -250,15 +250,15 @@ def _outlier_mask(values: Array, rows: int, resolutions: Array) -> np.ndarray:
     deviation = np.abs(
         c - np.clip(c, np.minimum(low_median, high_median), np.maximum(low_median, high_median))
     )
-    rows = min(rows, len(deviation))
-    blocks = deviation[: len(deviation) // rows * rows].reshape(-1, rows, 3)
+    block_rows = min(block_rows, len(deviation))
+    blocks = deviation[: len(deviation) // block_rows * block_rows].reshape(-1, block_rows, 3)
     # From the upper quartile: every fifth value is the median itself, and so not off at all.
-    quantile_index = 3 * rows // 4
+    quantile_index = 3 * block_rows // 4
     scale = np.partition(blocks, quantile_index, axis=1)[:, quantile_index] * MAD_TO_SIGMA / 2.0
     # A smooth motion is its own median: where one fills most of a stretch, the next one tells.
     scale = np.maximum(scale, np.maximum(np.roll(scale, 1, axis=0), np.roll(scale, -1, axis=0)))
     limits = _SPIKE_SDS * scale + 1.5 * resolutions
-    limits = limits[np.minimum(np.arange(len(deviation)) // rows, len(limits) - 1)]
+    limits = limits[np.minimum(np.arange(len(deviation)) // block_rows, len(limits) - 1)]
     return np.asarray(deviation > limits)
 
 
@@ -278,11 +278,11 @@ def _rolling_sd(time: Array, values: Array, window: float) -> Array:
     means = np.add.reduceat(values, edges[:-1], axis=0) / np.diff(edges)[:, None]
     block = np.arange(len(time)) // block_size
     deviations = values - means[block]
-    padded = np.zeros((block_count * block_size, 4))
-    padded[: len(time), :3] = deviations
-    padded[: len(time), 3] = (deviations**2).sum(axis=1)
+    padded_values = np.zeros((block_count * block_size, 4))
+    padded_values[: len(time), :3] = deviations
+    padded_values[: len(time), 3] = (deviations**2).sum(axis=1)
     sums = np.zeros((block_count, block_size + 1, 4))
-    np.cumsum(padded.reshape(block_count, block_size, 4), axis=1, out=sums[:, 1:])
+    np.cumsum(padded_values.reshape(block_count, block_size, 4), axis=1, out=sums[:, 1:])
     first_block = first_row // block_size
     boundary_row = np.minimum(end_row, (first_block + 1) * block_size)
     first_sums = (
@@ -373,20 +373,20 @@ def _no_interval_message(
 ) -> str:
     """Say that no rest was found, and which threshold would take the quietest stretch."""
     message = f"no rest interval of {rest:g} s was found below the threshold of {threshold:.3g}."
-    candidates = np.unique(level[np.isfinite(level)])
-    low, high = 0, len(candidates)
+    levels = np.unique(level[np.isfinite(level)])
+    low, high = 0, len(levels)
     while low < high:
-        middle = (low + high) // 2
-        if len(_find_intervals(time, level, float(candidates[middle]), rest, window, step)[0]):
-            high = middle
+        midpoint = (low + high) // 2
+        if len(_find_intervals(time, level, float(levels[midpoint]), rest, window, step)[0]):
+            high = midpoint
         else:
-            low = middle + 1
-    if low == len(candidates):
+            low = midpoint + 1
+    if low == len(levels):
         return f"{message} Every interval of this length in the record contains a gap."
-    starts, ends = _find_intervals(time, level, float(candidates[low]), rest, window, step)
+    starts, ends = _find_intervals(time, level, float(levels[low]), rest, window, step)
     return (
         f"{message} The quietest interval, from {time[starts[0]]:.6g} s to "
-        f"{time[ends[0] - 1]:.6g} s, stays below {candidates[low]:.3g}. Use a higher threshold "
+        f"{time[ends[0] - 1]:.6g} s, stays below {levels[low]:.3g}. Use a higher threshold "
         "to include this interval, or a shorter minimum duration to use a quieter part."
     )
 

@@ -62,7 +62,7 @@ def test_low_pass_is_found_with_time_constant(observable):
     fit = estimate_considered(
         estimate(records, MODEL, {"Qx": Noise(1e-4, 0.0)}, rejects_outliers=False).fit
     )
-    others = mistakes.record_mistakes(fit, {"Qx": 1.7e-9}, angle_recorded=True)
+    others = mistakes.record_mistakes(fit, {"Qx": 1.7e-9}, has_recorded_angle=True)
     every = run_score_tests(fit, tuple(others), noise_given=True)
     best = int(np.argmax(every.z))
     assert every.alternatives[best].name == "Qx.response"

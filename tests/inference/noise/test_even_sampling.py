@@ -65,8 +65,8 @@ def test_likelihood_matches_dense_likelihood_up_to_constant(order):
     recorded = force
     for _ in range(order):
         recorded = np.concatenate([[0.0], np.cumsum(recorded) * STEP])
-    data = EvenlySampledData.of(recorded, STEP, Sampling(order, order), ramp[:, None], 1)
-    likelihood = RestrictedLikelihood.of([data], None, None)
+    data = EvenlySampledData.from_samples(recorded, STEP, Sampling(order, order), ramp[:, None], 1)
+    likelihood = RestrictedLikelihood.from_records([data], None, None)
     design = np.column_stack([np.ones(n), data.design])
     log_likelihoods = np.array([likelihood.value(0.0, unit) for unit in UNITS])
     exact = np.array([dense_likelihood(covariance, design, force) for covariance in covariances])
@@ -82,8 +82,8 @@ def test_grouped_rows_match_single_rows(monkeypatch):
     sizes = [(1e-3, 1.0, 1e-3, 1e-6), (1e-2, 0.9, 1e-2, 1e-5)]
 
     def gain():
-        likelihood = RestrictedLikelihood.of(
-            [EvenlySampledData.of(values, STEP, Sampling(1, 1), ramp, 1)], None, None
+        likelihood = RestrictedLikelihood.from_records(
+            [EvenlySampledData.from_samples(values, STEP, Sampling(1, 1), ramp, 1)], None, None
         )
         return likelihood.value(0.0, sizes[1]) - likelihood.value(0.0, sizes[0]), likelihood
 

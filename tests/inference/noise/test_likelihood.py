@@ -17,7 +17,7 @@ def likelihood(unknowns, width, noise=1e-6):
     design = np.vander(np.linspace(-1.0, 1.0, 6), unknowns)
     values = design @ rng.normal(0.0, 1e-3, unknowns) + rng.normal(0.0, noise, 6)
     data = RecordData(np.arange(6.0), 0, design, values)
-    return RestrictedLikelihood.of([data], np.eye(unknowns) / width, np.zeros(unknowns))
+    return RestrictedLikelihood.from_records([data], np.eye(unknowns) / width, np.zeros(unknowns))
 
 
 @pytest.mark.parametrize("unknowns", [6, 7, 12])
@@ -53,7 +53,7 @@ def test_likelihood_matches_whitened_rows(order):
     design = np.column_stack([times**order, np.cos(0.3 * times)])
     values = rng.standard_normal(times.size)
     records = [RecordData(times, order, design, values, walk_duration=50.0)]
-    likelihood_of = RestrictedLikelihood.of(records, None, None)
+    likelihood_of = RestrictedLikelihood.from_records(records, None, None)
     white = 0.7
     log_likelihood = likelihood_of.value(math.log(white), (1.0, 1e-4, 1e-5, 1e-6))
     noise = Noise(*(math.sqrt(white * part) for part in (1.0, 1e-4)), 0.0)

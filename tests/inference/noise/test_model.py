@@ -90,7 +90,7 @@ def test_closed_forms_of_uniform_spacing(block, published):
     n, h, walk = 12, 0.3, 2.0
     # Means of c samples differ from means over the whole block by 1/c^2.
     count = 10_000 if block else 1
-    bands, _ = Differences.of(np.arange(n) * h, 2, count).factor(0.0, walk)
+    bands, _ = Differences.from_times(np.arange(n) * h, 2, count).factor(0.0, walk)
     covariance = banded_product(bands) / (walk * h**3)
     for lag, value in enumerate(exact):
         tolerance = 1e-13 + 10 / count**2 * block
@@ -130,7 +130,7 @@ def test_spacing_is_inferred_from_adjoining_blocks():
 def test_factor_has_full_precision_at_any_ratio(ratio):
     """Against a 60-digit Cholesky factorisation; at 1e-14 the one in doubles has 7 digits left."""
     n = 600
-    bands, _ = Differences.of(np.arange(n, dtype=float), 2).factor(1.0, ratio)
+    bands, _ = Differences.from_times(np.arange(n, dtype=float), 2).factor(1.0, ratio)
     with mpmath.workdps(60):
         walk = mpmath.mpf(ratio)
         diagonal, one, two = [], [], []
@@ -243,7 +243,7 @@ def test_white_noise_varying_by_row_is_whitened(order, relative):
     """Beside a walk: its covariance is that of white acceleration integrated once or twice."""
     t = 0.5 * np.arange(1.0, 9.0)
     added = np.linspace(0.5, 3.0, 8)
-    differences = Differences.of(t, order, None, 0.5, relative)
+    differences = Differences.from_times(t, order, None, 0.5, relative)
     whiten = build_whitener(differences, Noise(1.0, 0.7), 0.0, added)
     early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
     walk = (np.eye(8) / 0.5, early, early**2 * (3.0 * late - early) / 6.0)[order]
@@ -270,7 +270,7 @@ def information(noise, differences):
 @pytest.mark.parametrize("order", [2, 1, 0])
 @pytest.mark.parametrize("noise", [Noise(0.3, 0.05), Noise(0.3), Noise(0.3, 0.05, 0.1, 0.02, 0.01)])
 def test_information_derivative_matches_differences(order, noise, relative):
-    differences = Differences.of(TIMES, order, 2, 0.02, relative)
+    differences = Differences.from_times(TIMES, order, 2, 0.02, relative)
     lost = information_loss(differences, COLUMNS, noise, 5.0, ADDED)
     for part, name in zip(lost, COMPONENTS, strict=True):
         level = getattr(noise, name) ** 2

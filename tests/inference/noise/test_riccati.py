@@ -14,7 +14,7 @@ def test_sequential_solution_matches_scan(ratio, samples, rows):
     """Whatever the walk's share is; uneven rows, whose rounding a large walk multiplies."""
     rng = np.random.default_rng(1)
     time = np.cumsum(rng.uniform(0.5, 1.5, rows))
-    blocks = BlockSpans.of(time, np.full(rows, samples), np.full(rows, 0.04))
+    blocks = BlockSpans.from_blocks(time, np.full(rows, samples), np.full(rows, 0.04))
     white, walk = (1.0, ratio) if ratio < math.inf else (0.0, 1.0)
     in_turn, scan = (filter_walk(blocks, white, walk, max_sequential_rows=few) for few in (rows, 0))
     np.testing.assert_allclose(in_turn.variance, scan.variance, rtol=1e-11)
@@ -30,7 +30,7 @@ def test_segments_of_equal_rows_match_scan(ratio, samples):
     count = np.full(rows.size, samples)
     count[-1] = 1.0
     time = np.round(rows * 0.4 * samples, 9)
-    blocks = BlockSpans.of(time, count, np.full(rows.size, 0.05))
+    blocks = BlockSpans.from_blocks(time, count, np.full(rows.size, 0.05))
     white, walk = (1.0, ratio) if ratio < math.inf else (0.0, 1.0)
     alike, scan = (
         filter_walk(blocks, white, walk, max_sequential_rows=few) for few in (rows.size, -1)

@@ -98,7 +98,7 @@ def dense_restricted(data, noise, prior_rows, prior_values):
 def test_likelihood_matches_dense_likelihood_up_to_constant(priors):
     data = record(np.random.default_rng(2), 40, Noise(0.3, 0.2))
     values = np.full(len(priors), 0.4)
-    likelihood = RestrictedLikelihood.of([data], priors, values)
+    likelihood = RestrictedLikelihood.from_records([data], priors, values)
     noises = [
         Noise(0.3, 0.2),
         Noise(0.5, 0.01),
@@ -142,7 +142,9 @@ def mixed_noise_trials():
         estimated = gain[:3] @ whitener.apply(data.observations)
         u = np.sqrt(variances(actual_noise.noise))
         inverse = gain[:3] @ gain[:3].T
-        lost = information_loss(Differences.of(times, 2), columns(times), actual_noise.noise)
+        lost = information_loss(
+            Differences.from_times(times, 2), columns(times), actual_noise.noise
+        )
         slopes = np.diagonal(inverse @ lost @ inverse, axis1=1, axis2=2).T
         rows.append(
             (actual_noise, estimated, u, effective_dof(u**2, slopes, actual_noise.covariance))
@@ -244,7 +246,7 @@ def test_misfit_is_estimated_as_most_likely_noise(added):
     wave = 0.3 * np.sin(math.pi * times)
     observed = wave + 0.01 * np.random.default_rng(11).standard_normal(times.size)
     data = RecordData(times, 2, np.empty((times.size, 0)), observed, added_variance=added)
-    likelihood = RestrictedLikelihood.of([replace(data, added_variance=0.0)], None, None)
+    likelihood = RestrictedLikelihood.from_records([replace(data, added_variance=0.0)], None, None)
     grid = [ratio(math.exp(size)) for size in np.arange(-25.0, 20.0, 0.25)]
     dense = [likelihood.value(likelihood.best_scale(unit), unit) for unit in grid]
     assert min(dense[: int(np.argmax(dense))]) < dense[0] - 10.0

@@ -21,7 +21,9 @@ N, B = 1e-4, 3e-4
 def found(recorded, kind, step=STEP):
     count = recorded.size - kind.order
     time = step * (np.arange(count) - 0.5 * count)
-    return estimate_static_noise([EvenlySampledData.of(recorded, step, kind, time[:, None], 1)])
+    return estimate_static_noise(
+        [EvenlySampledData.from_samples(recorded, step, kind, time[:, None], 1)]
+    )
 
 
 def force(seed, n=1200, walk=0.0):

@@ -352,7 +352,7 @@ def _alternative_hypotheses(
     }
     yield from mistakes.input_mistakes(fit, inputs)
     default_trends = {view.name: campaign.typical_of("K_F.trend", view.name) for view in views}
-    yield from mistakes.record_mistakes(fit, default_trends, angle_recorded=has_angle)
+    yield from mistakes.record_mistakes(fit, default_trends, has_recorded_angle=has_angle)
     yield from mistakes.coriolis_mistakes(fit, uses_own_velocity=campaign.own_velocity)
     terms = {
         unknown: campaign.typical_of(unknown.symbol, unknown.owner)

@@ -54,7 +54,7 @@ def jackknife_runs(estimate: Estimate, index: int) -> list[Jackknife]:
     for run, shift_variance, shift_dof in zip(
         determined_runs, variances.tolist(), dofs.tolist(), strict=True
     ):
-        estimate_without_run = float(_solution_without(fit, run).estimate[index])
+        estimate_without_run = float(_solve_without_run(fit, run).estimate[index])
         shift = estimate_without_run - float(fit.solution.estimate[index])
         is_resolved = shift_variance > (_MIN_RELATIVE_U * u) ** 2
         shifts[run] = Jackknife(
@@ -91,7 +91,7 @@ def _shift_variances(
         return variances, 1.0 / inverse_dofs
 
 
-def _solution_without(fit: JointFit, run: str) -> Solution:
+def _solve_without_run(fit: JointFit, run: str) -> Solution:
     solution = fit.without_run(run)
     if solution is None:
         raise ValueError(f"without {run}, no observations remain")
@@ -103,15 +103,15 @@ def _known_shift_variances(fit: JointFit, runs: Sequence[str], index: int) -> Ar
     full_solution = fit.solution
     variances = np.zeros(len(runs))
     for k, run in enumerate(runs):
-        reduced_solution = _solution_without(fit, run)
+        reduced_solution = _solve_without_run(fit, run)
         covariances = [
             s.covariance_noise + s.covariance_prior for s in (reduced_solution, full_solution)
         ]
         # A considered term shifts both estimates.
         sensitivities = [s.sensitivity_considered[index] for s in (reduced_solution, full_solution)]
         considered_shift = (sensitivities[0] - sensitivities[1]) * full_solution.considered_sd
-        difference = float(covariances[0][index, index] - covariances[1][index, index])
-        variances[k] = max(difference, 0.0) + float(considered_shift @ considered_shift)
+        variance_difference = float(covariances[0][index, index] - covariances[1][index, index])
+        variances[k] = max(variance_difference, 0.0) + float(considered_shift @ considered_shift)
     return variances
 
 
@@ -131,7 +131,7 @@ def shift_variance_sensitivities(
     full_root = full_solution.covariance_root(identity[index : index + 1])[0]
     sensitivities = np.zeros((len(runs), losses.shape[1]))
     for k, run in enumerate(runs):
-        reduced_solution = _solution_without(fit, run)
+        reduced_solution = _solve_without_run(fit, run)
         # In the coordinates of the losses, in which the information of all runs is the identity.
         reduced_root = full_solution.whiten_unknowns(reduced_solution.weighted_covariance[index])
         other_losses = losses[[block.run != run for block in fit.design_blocks]].sum(axis=0)

@@ -63,7 +63,9 @@ class Alternative:
 
     def is_implausible(self, value: float) -> bool:
         """Return whether a value is far from every likely value."""
-        distance = min((abs(value - likely) for likely in self.likely_values), default=0.0)
+        distance = min(
+            (abs(value - likely_value) for likely_value in self.likely_values), default=0.0
+        )
         return distance > self.likely_tolerance
 
     @property

@@ -94,9 +94,9 @@ def _encoder_lines(
     fit: JointFit, encoder_effects: Mapping[tuple[str, str], Sequence[float]]
 ) -> Iterator[BudgetLine]:
     """Yield a line for each component of the rotation of each run."""
-    errors = {block.run: block.series.angle_error for block in fit.design_blocks}
+    angle_errors = {block.run: block.series.angle_error for block in fit.design_blocks}
     for (run, component), contributions in encoder_effects.items():
-        error = errors[run]
+        error = angle_errors[run]
         u = error.u[component] if error else 0.0
         effect = math.hypot(*contributions) if len(contributions) > 1 else contributions[0]
         slope, unit = effect / u if u else 0.0, _ENCODER_UNITS.get(component, "rad/s")
@@ -142,18 +142,18 @@ def u_by_category(fit: JointFit, weights: Array) -> tuple[float, float, float]:
     variances = _variances_by_category(fit, weights, effects.noise**2 + effects.undetected**2)
     terms = (*fit.model.unknowns, *fit.model.considered)
     for unknown, effect in zip(terms, (*effects.prior, *effects.considered), strict=True):
-        variances[_category(unknown)] += float(effect) ** 2
-    u_noise, u_stated, u_default = (math.sqrt(square) for square in variances.values())
+        variances[_u_category(unknown)] += float(effect) ** 2
+    u_noise, u_stated, u_default = (math.sqrt(variance) for variance in variances.values())
     return u_noise, u_stated, u_default
 
 
-def _category(unknown: Unknown) -> Kind:
+def _u_category(unknown: Unknown) -> Kind:
     if unknown.symbol in encoder.SYMBOLS:
         return NOISE
     return DEFAULT_PRIOR if unknown.has_default_prior else STATED
 
 
-def _variances_by_category(fit: JointFit, weights: Array, noise: float) -> dict[str, float]:
+def _variances_by_category(fit: JointFit, weights: Array, variance: float) -> dict[str, float]:
     """Split the variance of observations by category: rate errors are not noise."""
     rate_variances = [
         observation.rate_variances(fit.solution, weights) for observation in fit.observations
@@ -161,7 +161,7 @@ def _variances_by_category(fit: JointFit, weights: Array, noise: float) -> dict[
     stated, default = (
         sum(observation_variances) for observation_variances in zip(*rate_variances, strict=True)
     )
-    return {NOISE: max(noise - stated - default, 0.0), STATED: stated, DEFAULT_PRIOR: default}
+    return {NOISE: max(variance - stated - default, 0.0), STATED: stated, DEFAULT_PRIOR: default}
 
 
 def unknown_u_by_category(fit: JointFit, index: int) -> tuple[float, float, float]:
@@ -179,6 +179,6 @@ def unknown_u_by_category(fit: JointFit, index: int) -> tuple[float, float, floa
         if (root := prior_root(unknowns)) is not None:
             effects = root.T @ effects
         for unknown, effect in zip(unknowns, effects.tolist(), strict=True):
-            variances[_category(unknown)] += effect**2
+            variances[_u_category(unknown)] += effect**2
     u_noise, u_stated, u_default = (math.sqrt(max(s, 0.0)) for s in variances.values())
     return u_noise, u_stated, u_default

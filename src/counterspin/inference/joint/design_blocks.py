@@ -273,10 +273,10 @@ def _compress_block(
     transform: Unknowns per unit of each of the m compressed unknowns, shape (p, m).
     """
     columns_of_interest = [
-        k for k, place in enumerate(block.unknowns) if model.unknowns[place].is_of_interest
+        k for k, index in enumerate(block.unknowns) if model.unknowns[index].is_of_interest
     ]
     indices_of_interest = [
-        place for place, unknown in enumerate(model.unknowns) if unknown.is_of_interest
+        index for index, unknown in enumerate(model.unknowns) if unknown.is_of_interest
     ]
     new_indices = [indices_of_interest.index(block.unknowns[k]) for k in columns_of_interest]
     indices = list(block.unknowns)

@@ -27,7 +27,7 @@ from counterspin.physics.spindle import MAX_HARMONICS
 from counterspin.physics.terms import TERMS
 
 #: Symbols of the terms: angle, rate and drift, and two quadratures of each ripple.
-SYMBOLS: Final = tuple(f"encoder.{part}" for part in POLYNOMIAL_NAMES) + tuple(
+SYMBOLS: Final = tuple(f"encoder.{name}" for name in POLYNOMIAL_NAMES) + tuple(
     f"encoder.ripple{n}.{phase}" for n in range(1, MAX_HARMONICS + 1) for phase in ("cos", "sin")
 )
 
@@ -102,15 +102,15 @@ def columns(
     def force_change(t: Array) -> Array:
         # The Coriolis part matters only if the specific force is recorded or squared.
         coriolis = 2.0 * np.cross(motion.site.earth_rotation, displacement_change(t, 1))
-        total: Array = displacement_change(t, 0) + coriolis
+        force: Array = displacement_change(t, 0) + coriolis
         if motion.table_ratio == -1.0:
-            return total
+            return force
         platform_motion, angle_change = (
             motion.at(t),
             motion.spindle.angle_functions(angle_error, t)[0],
         )
         return platform_motion.table.force_change(
-            platform_motion.specific_force, total, angle_change
+            platform_motion.specific_force, force, angle_change
         )
 
     def product_effect(t: Array) -> Array:

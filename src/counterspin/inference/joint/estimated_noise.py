@@ -55,7 +55,7 @@ def _estimate_noise(
     # Considered terms are unknowns here; otherwise their effects would count as noise.
     unknowns, p = (*model.unknowns, *model.considered), len(model.unknowns)
     block_indices = [
-        (*block.unknowns, *(p + place for place in block.considered)) for block in design_blocks
+        (*block.unknowns, *(p + index for index in block.considered)) for block in design_blocks
     ]
     used_indices = sorted({index for indices in block_indices for index in indices})
     records = [

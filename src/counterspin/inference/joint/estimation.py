@@ -384,18 +384,18 @@ def reinstate_outliers(state: _EstimationState) -> _EstimationState:
     fit, outliers, estimates = state.fit, state.outliers, state.values
     values = np.array([estimates.get(unknown, 0.0) for unknown in state.model.unknowns])
 
-    def build_columns() -> tuple[DesignBlock, ...]:
+    def build_blocks() -> tuple[DesignBlock, ...]:
         return build_design_blocks(state.series, state.model, state.scale_factors, values)
 
     if outlier_rejection.has_many_outliers(outliers):
-        full_problem = compress_nuisance(build_columns(), state.model, _white_noise(fit.noise))
+        full_problem = compress_nuisance(build_blocks(), state.model, _white_noise(fit.noise))
         fit, outliers = outlier_rejection.reinstate_rows(
             fit, full_problem, state.series, state.requests, outliers
         )
     fit, outliers = outlier_rejection.reject_outliers(fit, state.series, state.requests, outliers)
     if fit is state.fit:
         return state
-    blocks = outlier_rejection.select_rows(build_columns(), outliers)
+    blocks = outlier_rejection.select_rows(build_blocks(), outliers)
     return replace(state, fit=fit, outliers=outliers, design_blocks=blocks).estimate_noise()
 
 
@@ -432,16 +432,16 @@ def _make_estimate(
     full_dof = np.full(len(model.unknowns), math.inf)
     full_dof[indices] = dof[: len(indices)]
 
-    def embed(covariance: Array) -> Array:
+    def embed_matrix(covariance: Array) -> Array:
         matrix = np.zeros((full_dof.size, full_dof.size))
         matrix[np.ix_(indices, indices)] = covariance[: len(indices), : len(indices)]
         return matrix
 
     added_covariance = compressed_fit.solution.covariance_undetected
     if added_covariance is not None:
-        solution = replace(fit.solution, covariance_undetected=embed(added_covariance))
+        solution = replace(fit.solution, covariance_undetected=embed_matrix(added_covariance))
         walks = {
-            name: (level, embed(covariance))
+            name: (level, embed_matrix(covariance))
             for name, (level, covariance) in compressed_fit.undetected_walks.items()
         }
         fit = replace(fit, solution=solution, undetected_walks=walks)
@@ -462,7 +462,7 @@ def _scale_factors(
 ) -> dict[str, float]:
     """Return K_I of each accelerometer: its estimate, else its prior value, else 1."""
     factors = {record.accelerometer: 1.0 for record in series}
-    indices = {} if fit is None else {fitted: k for k, fitted in enumerate(fit.model.unknowns)}
+    indices = {} if fit is None else {unknown: k for k, unknown in enumerate(fit.model.unknowns)}
     for unknown in model.unknowns:
         if unknown.symbol == "K_I":
             index = indices.get(unknown)

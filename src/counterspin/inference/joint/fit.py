@@ -249,7 +249,7 @@ def augment_block(
     if not new_columns:
         block = fit.blocks[index]
         return observation, replace(block, factor=np.pad(block.factor, ((0, 0), (0, n_columns))))
-    new_unknowns = (Unknown("", str(place), NO_PRIOR, 1.0) for place in range(n_columns))
+    new_unknowns = (Unknown("", str(index), NO_PRIOR, 1.0) for index in range(n_columns))
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *new_unknowns))
     return observation, observation.expand_block(model, fit.noise)
 

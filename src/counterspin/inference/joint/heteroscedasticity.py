@@ -165,11 +165,11 @@ def _fit_run_variances(
         for i, variance in variances.items()
     )
     gain = -_information_per_row(all_squares) * log_ratio_sum
-    excess = gain - float(chdtri(len(variances) - 1, _SIGNIFICANCE))
+    gain_excess = gain - float(chdtri(len(variances) - 1, _SIGNIFICANCE))
     run_ratios = {
         fit.design_blocks[i].run: math.sqrt(variance) for i, variance in variances.items()
     }
-    return (excess, VarianceModel(run_ratios, 0.0)) if excess > 0.0 else None
+    return (gain_excess, VarianceModel(run_ratios, 0.0)) if gain_excess > 0.0 else None
 
 
 def _varies_within_run(fit: JointFit, squares: Mapping[int, Array]) -> bool:

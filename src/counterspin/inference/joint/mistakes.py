@@ -82,12 +82,12 @@ _PRIOR_ODDS: Final[Mapping[str, float]] = {
 
 
 def record_mistakes(
-    fit: JointFit, drift_sds: Mapping[str, float], *, angle_recorded: bool
+    fit: JointFit, drift_sds: Mapping[str, float], *, has_recorded_angle: bool
 ) -> Iterator[Alternative]:
     """Yield mistakes in the records of an accelerometer, a run or the campaign.
 
     drift_sds: Accelerometer -> typical size of a bias drift, g/s.
-    angle_recorded: Whether the spindle angle was recorded; otherwise its zero is estimated.
+    has_recorded_angle: Whether the spindle angle was recorded; otherwise its zero is estimated.
     """
     design_blocks = fit.design_blocks
     outputs = {i: _fitted_output(fit, i) for i in range(len(design_blocks))}
@@ -115,7 +115,7 @@ def record_mistakes(
         limit = limits.get((block.accelerometer, "K_F"), TERMS["K_F"].limit)
         yield Alternative(BIAS, owner, BIAS, {i: bias_column}, credible_range=(-limit, limit))
         yield _bias_drift_alternative(fit, [i], owner, drift_sds[block.accelerometer])
-    if angle_recorded:
+    if has_recorded_angle:
         angle_columns = {
             i: rotation_column(block.series, ROTATION[0]) for i, block in enumerate(design_blocks)
         }
@@ -305,7 +305,7 @@ def input_mistakes(fit: JointFit, default_sds: Mapping[str, float]) -> Iterator[
             if not input_affects(block.series, name, input_owner(block.series, name)):
                 continue
             # The effects of estimated coefficients depend on the inputs too.
-            table = {
+            columns_by_symbol = {
                 symbol: column
                 for index, column in zip(block.unknowns, block.design.T, strict=True)
                 if (symbol := fit.model.unknowns[index].symbol) in _ERROR_TERMS
@@ -313,9 +313,9 @@ def input_mistakes(fit: JointFit, default_sds: Mapping[str, float]) -> Iterator[
             coefficients = {
                 symbol: float(fit.solution.estimate[index])
                 for index in block.unknowns
-                if (symbol := fit.model.unknowns[index].symbol) in table
+                if (symbol := fit.model.unknowns[index].symbol) in columns_by_symbol
             }
-            output = expected_output(block.series, coefficients, table)
+            output = expected_output(block.series, coefficients, columns_by_symbol)
             columns[i] = input_column(block.series, name, block.scale_factor, coefficients, output)
         columns_by_owner: dict[str, dict[int, Array]] = {}
         for i, column in columns.items():
@@ -331,11 +331,11 @@ def term_mistakes(fit: JointFit, terms: Mapping[Considered, float]) -> Iterator[
     terms: Term -> typical size.
     """
     alternatives_by_symbol: dict[str, list[Alternative]] = {}
-    columns_by_term: dict[Considered, dict[int, Array]] = {key: {} for key in terms}
+    columns_by_term: dict[Considered, dict[int, Array]] = {term: {} for term in terms}
     for i, block in enumerate(fit.design_blocks):
         # The terms of a record share its motion and its integrals.
-        relevant_terms = [key for key in terms if key.affects(block.series)]
-        symbols = list(dict.fromkeys(key.symbol for key in relevant_terms))
+        relevant_terms = [term for term in terms if term.affects(block.series)]
+        symbols = list(dict.fromkeys(term.symbol for term in relevant_terms))
         matrix = block.series.columns(symbols, block.scale_factor)
         for considered_term in relevant_terms:
             columns_by_term[considered_term][i] = matrix[:, symbols.index(considered_term.symbol)]
@@ -371,12 +371,12 @@ def window_test_p(residuals: Array) -> float:
 
     residuals: In time order, shape (n,).
     """
-    cumulative = np.append(0.0, np.cumsum(residuals))
+    cumsum = np.append(0.0, np.cumsum(residuals))
     scale = math.sqrt(float(residuals @ residuals) / max(residuals.size, 1)) or 1.0
     max_sum, n_tests = 0.0, 0
     for length in _WINDOW_LENGTHS:
         if length < residuals.size:
-            sums = (cumulative[length:] - cumulative[:-length]) / (scale * math.sqrt(length))
+            sums = (cumsum[length:] - cumsum[:-length]) / (scale * math.sqrt(length))
             max_sum = max(max_sum, float(np.max(np.abs(sums))))
             # Windows that overlap by half or more are nearly equivalent.
             n_tests += 4 * math.ceil(residuals.size / length)
@@ -417,10 +417,12 @@ CROSS_AXIS_SYMBOLS: Final = tuple(
 
 def rotate_mounting(mounting: Mounting, quarter_turns: int) -> Mounting:
     """Return a mounting after quarter turns about its input axis, from P towards O."""
-    input_axis, pendulous, output = mounting.matrix
+    input_axis, pendulous_axis, output_axis = mounting.matrix
     for _ in range(quarter_turns % 4):
-        pendulous, output = output, -pendulous
-    rotated_mounting = Mounting.from_axes(input_axis.tolist(), pendulous.tolist(), output.tolist())
+        pendulous_axis, output_axis = output_axis, -pendulous_axis
+    rotated_mounting = Mounting.from_axes(
+        input_axis.tolist(), pendulous_axis.tolist(), output_axis.tolist()
+    )
     return replace(rotated_mounting, response=mounting.response)
 
 

@@ -75,8 +75,8 @@ def outlier_mask(
     n, is_present = residuals.size, np.isfinite(residuals)
     if np.count_nonzero(is_present) <= 2 * _MEDIAN_HALF_WIDTH:
         return np.zeros(n, dtype=bool)
-    position = np.arange(float(n)) if time is None else time
-    interpolated = np.interp(position, position[is_present], residuals[is_present])
+    positions = np.arange(float(n)) if time is None else time
+    interpolated = np.interp(positions, positions[is_present], residuals[is_present])
     deviations = _local_deviations(interpolated, _MEDIAN_HALF_WIDTH) * weight
     scale, is_tested = _robust_sd(deviations[is_present]), is_present
     narrow_deviations = _local_deviations(interpolated, _NARROW_HALF_WIDTH) * weight
@@ -85,7 +85,7 @@ def outlier_mask(
         for direction in (1, -1):
             end_scales = _end_scales((interpolated * weight)[::direction])
             deviations[::direction][: end_scales.size] /= np.maximum(end_scales / scale, 1.0)
-        is_tested = is_present & ~_is_near_gap(position, _NARROW_HALF_WIDTH)
+        is_tested = is_present & ~_is_near_gap(positions, _NARROW_HALF_WIDTH)
     scale = max(scale, min_sd)
     magnitudes = np.where(is_tested, np.abs(deviations), 0.0)
     if scale == 0.0:
@@ -99,14 +99,14 @@ def outlier_mask(
     return outliers
 
 
-def _is_near_gap(position: Array, half_width: int) -> npt.NDArray[np.bool_]:
+def _is_near_gap(positions: Array, half_width: int) -> npt.NDArray[np.bool_]:
     """Return the mask of the samples that have a gap within `half_width` neighbours."""
-    steps = np.diff(position)
+    steps = np.diff(positions)
     is_gap = np.append(steps > _GAP_FACTOR * median(steps), False)
     gap_indices = np.flatnonzero(is_gap)
-    is_near = np.zeros(position.size, dtype=bool)
+    is_near = np.zeros(positions.size, dtype=bool)
     for k in range(-half_width + 1, half_width + 1):
-        is_near[np.clip(gap_indices + k, 0, position.size - 1)] = True
+        is_near[np.clip(gap_indices + k, 0, positions.size - 1)] = True
     return is_near
 
 
@@ -140,8 +140,8 @@ def _local_deviations(residuals: Array, max_half_width: int) -> Array:
         )
         for half_width in (16, 8, 4):
             if half_width < max_half_width:
-                section = slice(half_width, 2 * half_width)
-                end_medians[section], end_variances[section] = _pair_median(
+                window = slice(half_width, 2 * half_width)
+                end_medians[window], end_variances[window] = _pair_median(
                     end_residuals[: 3 * half_width], range(1, half_width + 1)
                 )
         near_median, far_median = median(end_residuals[4:10]), median(end_residuals[10:16])
@@ -156,7 +156,7 @@ def _end_scales(values: Array) -> Array:
     """Return the standard deviation of the first four samples' deviations, from the series."""
     windows = np.lib.stride_tricks.sliding_window_view(values, 16)
     near_median, far_median = (
-        np.median(windows[:, part], axis=1) for part in (slice(4, 10), slice(10, 16))
+        np.median(windows[:, columns], axis=1) for columns in (slice(4, 10), slice(10, 16))
     )
     errors = (
         windows[:, :4] - near_median[:, None] - (near_median - far_median)[:, None] * _EXTRAPOLATION
@@ -242,13 +242,13 @@ def reject_outliers(
         fit = solve_joint(
             select_rows(fit.design_blocks, masks_of_rows_in_fit), fit.model, fit.noise
         )
-    where = " and ".join(
+    records = " and ".join(
         f"{block.run} ({block.accelerometer})"
         for block, mask in zip(fit.design_blocks, new_outliers, strict=True)
         if mask.any()
     )
     raise ConvergenceError(
-        f"{where}: outliers were still found after {_MAX_ROUNDS} rounds of rejection, so the "
+        f"{records}: outliers were still found after {_MAX_ROUNDS} rounds of rejection, so the "
         "residuals are not noise about a smooth curve. Inspect the record for a jump in the "
         "clock or the displacement, or add the missing terms to the model"
     )
@@ -271,7 +271,9 @@ def reinstate_rows(
     new_outliers = find_outliers(
         replace(refit, observations=tuple(all_blocks)), series, requests, empty_masks(series)
     )
-    if not any((mask & ~new).any() for mask, new in zip(outliers, new_outliers, strict=True)):
+    if not any(
+        (mask & ~new_mask).any() for mask, new_mask in zip(outliers, new_outliers, strict=True)
+    ):
         return fit, outliers
     return solve_joint(select_rows(all_blocks, new_outliers), model, fit.noise), new_outliers
 
@@ -445,12 +447,12 @@ def _correlation_time(residuals: Mapping[int, Array], spacing: Mapping[int, floa
             if residuals[i].size >= 6 * k and first_variances[i] > 0.0
         }
         counts = {i: residuals[i].size / k for i, k in selected_steps.items()}
-        total = sum(counts.values())
+        total_count = sum(counts.values())
         weighted_ratio = sum(
             counts[i] * _third_difference_variance(residuals[i], k) / first_variances[i]
             for i, k in selected_steps.items()
         )
-        return weighted_ratio / max(total, 1.0), total
+        return weighted_ratio / max(total_count, 1.0), total_count
 
     while True:
         ratios_and_counts = [variance_ratio(factor * lag) for factor in _LAG_FACTORS]

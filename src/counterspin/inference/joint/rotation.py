@@ -52,24 +52,25 @@ def find_rotation(
     angle and for rate errors up to a tenth. The Gauss-Newton method then refines them in the joint
     fit of all series.
     """
-    records = _initial_rotations(series)
+    rotated_series = _initial_rotations(series)
     # A misalignment without a prior acts like a start angle; its steps must remain small.
     bounded_model = replace(model, unknowns=tuple(map(_bound_prior, model.unknowns)))
     for _ in range(_MAX_ITERATIONS):
-        design_blocks = build_design_blocks(records, bounded_model, scale_factors)
+        design_blocks = build_design_blocks(rotated_series, bounded_model, scale_factors)
         solution = solve_joint(design_blocks, bounded_model, noise).solution
         changes: dict[str, dict[str, float]] = {}
         for unknown, value in zip(model.unknowns, solution.estimate, strict=True):
             if unknown.symbol in ROTATION:
                 changes.setdefault(unknown.owner, {})[unknown.symbol] = float(value)
-        records = tuple(
+        rotated_series = tuple(
             _rotate_series(record, *(changes[record.run][symbol] for symbol in ROTATION))
-            for record in records
+            for record in rotated_series
         )
         if all(
-            _max_angle_change(record, changes[record.run]) < _ANGLE_TOLERANCE for record in records
+            _max_angle_change(record, changes[record.run]) < _ANGLE_TOLERANCE
+            for record in rotated_series
         ):
-            return records
+            return rotated_series
     raise ConvergenceError(
         "the rotation cannot be determined from the displacement, because the nominal rate is "
         "too inaccurate. Record the spindle angle, or state the rate more accurately"
@@ -97,12 +98,14 @@ def second_order_bound(series: ResidualSeries) -> float:
     of the harmonics n of q, times n to the powers 0, 1 and 3. Velocity and displacement have fewer
     derivatives of q. On a table, the force turns by the ratio times q.
     """
-    error, motion = series.angle_error, series.trajectory
-    if error is None:
+    angle_error, motion = series.angle_error, series.trajectory
+    if angle_error is None:
         return 0.0
-    max_angle_error = _BOUND_SDS * np.linalg.norm(error.root, axis=1) + np.abs(error.deviation)
-    max_angle_error = max_angle_error * error.max_values
-    harmonic = np.array([1, 1, 1, *np.repeat(error.harmonics, 2)])
+    max_angle_error = _BOUND_SDS * np.linalg.norm(angle_error.root, axis=1) + np.abs(
+        angle_error.deviation
+    )
+    max_angle_error = max_angle_error * angle_error.max_values
+    harmonic = np.array([1, 1, 1, *np.repeat(angle_error.harmonics, 2)])
     a, b, d = (float(np.sum(max_angle_error * harmonic**power)) for power in (0, 1, 3))
     scale = motion.radius * abs(motion.spindle.rate) ** (2 - series.order)
     scale *= max(1.0, motion.table_ratio**2)
@@ -174,7 +177,7 @@ def _bound_prior(unknown: Unknown) -> Unknown:
 
 def _initial_rotations(series: Sequence[ResidualSeries]) -> tuple[ResidualSeries, ...]:
     """Return the series along the initial rotation of each run."""
-    guesses = {}
+    rotations = {}
     for run in dict.fromkeys(record.run for record in series):
         run_series = [record for record in series if record.run == run]
         horizontal_components = [
@@ -182,12 +185,12 @@ def _initial_rotations(series: Sequence[ResidualSeries]) -> tuple[ResidualSeries
             for record in run_series
         ]
         best_index = int(np.argmax(horizontal_components))
-        guesses[run] = (
+        rotations[run] = (
             _estimate_rotation(run_series[best_index])
             if horizontal_components[best_index] > _MIN_HORIZONTAL_COMPONENT
             else (0.0, 0.0, 0.0)
         )
-    return tuple(_rotate_series(record, *guesses[record.run]) for record in series)
+    return tuple(_rotate_series(record, *rotations[record.run]) for record in series)
 
 
 def _estimate_rotation(series: ResidualSeries) -> tuple[float, float, float]:

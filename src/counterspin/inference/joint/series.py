@@ -327,11 +327,11 @@ class ResidualSeries:
             return replace(self, timestamp_sd=0.0, jitter_sensitivity=None, timing_noise=0.0)
         reference_slope, error_slope = self.slopes()
         slope = reference_slope + error_slope
-        floor = math.sqrt(MIN_RELATIVE_VARIANCE * float(np.mean(reference_slope**2)))
+        min_slope = math.sqrt(MIN_RELATIVE_VARIANCE * float(np.mean(reference_slope**2)))
         return replace(
             self,
             timestamp_sd=timestamp_sd,
-            jitter_sensitivity=timestamp_sd * np.maximum(np.abs(slope), floor),
+            jitter_sensitivity=timestamp_sd * np.maximum(np.abs(slope), min_slope),
             timing_noise=timestamp_sd * math.sqrt(float(np.mean(slope**2))),
         )
 
@@ -404,7 +404,7 @@ class ResidualSeries:
     @cached_property
     def differences(self) -> Differences:
         """Differences of the rows, which do not contain start offset and velocity."""
-        return Differences.of(
+        return Differences.from_times(
             self.time, self.order, self.count, self.block_spacing, self.variance_ratio
         )
 
@@ -486,21 +486,21 @@ def input_column(
     name: str,
     scale_factor: float,
     deviations: Mapping[str, float],
-    expected: Array,
+    nominal_output: Array,
 ) -> Array:
     """Return d(recorded output)/d(input) at the estimate, by a forward difference, shape (n,).
 
     scale_factor: K_I in the columns of platform errors.
-    deviations: Estimated coefficients minus nominal values, included in `expected`.
+    deviations: Estimated coefficients minus nominal values, included in `nominal_output`.
     """
     reference, columns, step = evaluate_with_input(series, name, list(deviations), scale_factor)
-    change: Array = (reference + columns @ np.array([*deviations.values()]) - expected) / step
+    change: Array = (reference + columns @ np.array([*deviations.values()]) - nominal_output) / step
     if name == "site.latitude" and series.latitude_sensitivity is not None:
         change = change - series.latitude_sensitivity
     if name == "site.gravity" and series.in_g:
         # A record in g was converted to m/s^2 with the assumed gravity. The expected output is
         # used here: the noise of the recorded output would correlate with itself.
-        change = change - expected / series.trajectory.site.gravity
+        change = change - nominal_output / series.trajectory.site.gravity
     return change
 
 

@@ -46,7 +46,7 @@ class _Regression(NamedTuple):
 
 
 def find_timestamp_errors(
-    rotation: SpindleFit,
+    spindle_fit: SpindleFit,
     time: Array,
     count: Array,
     stated_noise: tuple[float, float],
@@ -54,19 +54,19 @@ def find_timestamp_errors(
 ) -> TimestampErrors | None:
     """Estimate the errors of time stamps from the angle; None for fewer than 43 rows.
 
-    rotation: Fit of the recorded angle.
+    spindle_fit: Fit of the recorded angle.
     time, count: Times of the rows, s, and their numbers of samples, shape (n,).
     stated_noise: Noise of the time stamps, s, and of the encoder, rad; 0: not stated.
     variance_change: See `TimestampErrors.variance_change`; None: zero.
     """
     if time.size < MIN_ROWS:
         return None
-    spindle, (timestamp_sd, encoder_sd) = rotation.spindle, stated_noise
+    spindle, (timestamp_sd, encoder_sd) = spindle_fit.spindle, stated_noise
     rate = abs(spindle.rate)
     return TimestampErrors(
-        _find_delays(spindle, time, rotation.residuals),
-        rotation.rms * math.sqrt(float(np.mean(count))) / rate,
-        rotation.dof,
+        _find_delays(spindle, time, spindle_fit.residuals),
+        spindle_fit.rms * math.sqrt(float(np.mean(count))) / rate,
+        spindle_fit.dof,
         np.zeros(time.size) if variance_change is None else variance_change,
         timestamp_sd,
         encoder_sd / rate,

@@ -52,7 +52,7 @@ def what_if(
     }
     sources = [
         source
-        for source, share in sorted(shares.items(), key=lambda item: -item[1])
+        for source, share in sorted(shares.items(), key=lambda name_and_share: -name_and_share[1])
         if share >= _MIN_SHARE
         and source in terms
         # Only finite nonzero uncertainties can change.

@@ -105,11 +105,11 @@ def integrated_cosines(
 @lru_cache(maxsize=256)
 def _coefficient_covariances(count: int, length: float) -> tuple[Array, ...]:
     """Return the cosines' covariance for each bias component of unit size, (count, count)."""
-    points = _POINTS_PER_FUNCTION * count
-    positions = (np.arange(points) + 0.5) / points
-    projection = 2.0 / points * np.cos(math.pi * np.outer(np.arange(count), positions))
+    n_points = _POINTS_PER_FUNCTION * count
+    positions = (np.arange(n_points) + 0.5) / n_points
+    projection = 2.0 / n_points * np.cos(math.pi * np.outer(np.arange(count), positions))
     projection[0] *= 0.5
-    max_frequency = points / (2.0 * length)
+    max_frequency = n_points / (2.0 * length)
     covariances = (
         component.covariance(length * positions, max_frequency)
         for component in BIAS_COMPONENTS.values()
@@ -152,7 +152,7 @@ class LowRankWhitener:
     log_det: float  #: Log-determinant of 1 + U U'.
 
     @classmethod
-    def of(cls, root: Array) -> LowRankWhitener:
+    def from_root(cls, root: Array) -> LowRankWhitener:
         """Return the whitener for U, shape (m, r)."""
         eigenvalues, vectors = np.linalg.eigh(root.T @ root)
         is_significant = eigenvalues > _MIN_EIGENVALUE

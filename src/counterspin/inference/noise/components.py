@@ -134,10 +134,10 @@ class Flicker(BiasComponent):
 
     def covariance(self, times: Array, high: float) -> Array:
         """Return the stationary covariance."""
-        lags = flicker_autocovariance(
+        autocovariances = flicker_autocovariance(
             times - times[0], min(MIN_FLICKER_FREQUENCY, 0.1 * high), high
         )
-        return _toeplitz(lags)
+        return _toeplitz(autocovariances)
 
     def transform_covariance(self, n: int, averaging_order: int) -> Array:
         """Return the covariance with the attenuation by the means."""
@@ -266,22 +266,22 @@ def flicker_autocovariance(lag: Array, low: float, high: float) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _flicker_transform_covariance(points: int) -> Array:
+def _flicker_transform_covariance(n_points: int) -> Array:
     """Return the covariance of the slowest rows of the transform of points of flicker."""
     from scipy.fft import dct
 
     # Slower flicker is part of the mean, which is unknown.
-    lags = flicker_autocovariance(np.arange(points, dtype=float), 1e-3 / points, 0.5)
-    rows = min(SLOW_ROWS, points - 1)
+    lags = flicker_autocovariance(np.arange(n_points, dtype=float), 1e-3 / n_points, 0.5)
+    rows = min(SLOW_ROWS, n_points - 1)
     half_transform = dct(_toeplitz(lags), type=2, norm="ortho", axis=0)[1 : rows + 1]
     covariance: Array = dct(half_transform, type=2, norm="ortho", axis=1)[:, 1 : rows + 1]
     return covariance
 
 
-def _toeplitz(lags: Array) -> Array:
+def _toeplitz(first_row: Array) -> Array:
     """Return the covariance of a stationary process from its autocovariance, (m, m)."""
-    index = np.arange(lags.size)
-    covariance: Array = lags[np.abs(index[:, None] - index)]
+    index = np.arange(first_row.size)
+    covariance: Array = first_row[np.abs(index[:, None] - index)]
     return covariance
 
 

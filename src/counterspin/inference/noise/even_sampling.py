@@ -48,8 +48,8 @@ class EvenlySampledData:
     column_indices: NDArray[np.intp]
 
     @classmethod
-    def of(
-        cls, values: Array, step: float, kind: Sampling, shared_columns: Array, first_index: int
+    def from_samples(
+        cls, values: Array, step: float, sampling: Sampling, shared_columns: Array, first_index: int
     ) -> EvenlySampledData:
         """Return the data of a record without gaps.
 
@@ -57,18 +57,18 @@ class EvenlySampledData:
         shared_columns: Columns of the common unknowns of all records, shape (n - order, k).
         first_index: Index of the first unknown of this record alone.
         """
-        order = kind.order
+        order = sampling.order
         force = np.diff(values, n=order) / step**order
         end_columns = np.zeros((force.size, 2 * order))
         for row in range(order):
             end_columns[row, row] = end_columns[-1 - row, order + row] = 1.0
-        places = [*range(shared_columns.shape[1]), *range(first_index, first_index + 2 * order)]
+        indices = [*range(shared_columns.shape[1]), *range(first_index, first_index + 2 * order)]
         return cls(
             step,
-            kind,
+            sampling,
             np.column_stack([shared_columns, end_columns]),
             force,
-            np.array(places, np.intp),
+            np.array(indices, np.intp),
         )
 
     def reduce(self) -> TransformedRecord:
@@ -161,9 +161,9 @@ class TransformedRecord:
         rows = self.stack / np.sqrt(variance)[:, None]
         log_det = float(self.counts @ np.log(variance[self.first_rows]))
         covariances = [
-            ratio * part
-            for ratio, part in zip(ratios[2:], self.slow_covariances, strict=True)
-            if part is not None and ratio > 0.0
+            ratio * slow_covariance
+            for ratio, slow_covariance in zip(ratios[2:], self.slow_covariances, strict=True)
+            if slow_covariance is not None and ratio > 0.0
         ]
         if covariances:
             slow_rows = slice(0, min(SLOW_ROWS, self.n_rows))
@@ -176,21 +176,23 @@ class TransformedRecord:
         return rows, log_det
 
 
-def _row_variances(k: Array, n: int, step: float, kind: Sampling) -> Array:
+def _row_variances(k: Array, n: int, step: float, sampling: Sampling) -> Array:
     """Return the variance of each row of the transform per unit of each of `COMPONENTS`.
 
     k: Index of each row, from 1, shape (m,).
     n: Number of samples of the specific force.
     Returns: (4, m).
     """
-    row_variances = sampled_densities(math.pi * k / n, step, kind)
-    for variances, covariance in zip(row_variances[2:], _slow_covariances(n, kind), strict=True):
+    row_variances = sampled_densities(math.pi * k / n, step, sampling)
+    for variances, covariance in zip(
+        row_variances[2:], _slow_covariances(n, sampling), strict=True
+    ):
         if covariance is not None:
             variances[: len(covariance)] = np.diagonal(covariance)
     return row_variances
 
 
-def _slow_covariances(n: int, kind: Sampling) -> tuple[Array | None, ...]:
+def _slow_covariances(n: int, sampling: Sampling) -> tuple[Array | None, ...]:
     """Return the covariance of the slowest rows for each bias component of unit size."""
-    order, components = kind.averaging_order, BIAS_COMPONENTS.values()
+    order, components = sampling.averaging_order, BIAS_COMPONENTS.values()
     return tuple(component.transform_covariance(n, order) for component in components)

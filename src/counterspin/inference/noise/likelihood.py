@@ -68,7 +68,7 @@ class RecordData:
 
     def reduce(self) -> DifferencedRecord:
         """Return the differenced record."""
-        differences = Differences.of(
+        differences = Differences.from_times(
             self.times, self.order, self.count, self.spacing, self.variance_ratio
         )
         rows = [np.asarray(self.design, float), np.asarray(self.observations, float)]
@@ -203,7 +203,7 @@ class RestrictedLikelihood:
     scales: dict[Variances, float] = field(default_factory=dict)  # best log scale of the ratios
 
     @classmethod
-    def of(
+    def from_records(
         cls,
         records: Sequence[RecordData | EvenlySampledData],
         prior_rows: ArrayLike | None,
@@ -213,8 +213,8 @@ class RestrictedLikelihood:
         if not records:
             raise ValueError("noise cannot be estimated without records")
         design_matrices = [np.asarray(r.design, float) for r in records]
-        reduced = [r.reduce() for r in records]
-        if len({record.order for record in reduced}) > 1:
+        reduced_records = [r.reduce() for r in records]
+        if len({record.order for record in reduced_records}) > 1:
             raise ValueError("records of different observables have different noise components")
         column_indices = [
             np.arange(design.shape[1])
@@ -227,12 +227,12 @@ class RestrictedLikelihood:
         values = (
             np.zeros(len(prior_factor)) if prior_values is None else np.asarray(prior_values, float)
         )
-        likelihood = cls(reduced, column_indices, np.column_stack([prior_factor, values]))
+        likelihood = cls(reduced_records, column_indices, np.column_stack([prior_factor, values]))
         # Differences reduce a start error in the design to rounding errors.
         norms_before, norms_after = np.zeros(prior_factor.shape[1]), np.zeros(prior_factor.shape[1])
         for squared_norms, designs in (
             (norms_before, design_matrices),
-            (norms_after, [record.stack[:, :-1] for record in reduced]),
+            (norms_after, [record.stack[:, :-1] for record in reduced_records]),
         ):
             for indices, design in zip(column_indices, designs, strict=True):
                 squared_norms[indices] += np.square(design).sum(axis=0)
@@ -389,16 +389,16 @@ class RestrictedLikelihood:
     def _triangle(self, ratios: Variances) -> tuple[Array, float]:
         """Return the triangle of the whitened rows at unit scale, and the log-determinant."""
         if ratios not in self.triangles:
-            width = self.prior.shape[1]
-            log_det, triangles = 0.0, [np.zeros((width, width))]
+            n_columns = self.prior.shape[1]
+            log_det, triangles = 0.0, [np.zeros((n_columns, n_columns))]
             for record, indices in zip(self.records, self.column_indices, strict=True):
                 rows, record_log_det = record.whitened(ratios)
                 log_det += record_log_det
                 # The triangle of all records is computed at the end.
                 triangle = qr_blocks(rows)
                 triangle = triangular_factor(triangle) if len(self.records) > 1 else triangle
-                stacked = np.zeros((triangle.shape[0], width))
-                stacked[:, np.append(indices, width - 1)] = triangle
+                stacked = np.zeros((triangle.shape[0], n_columns))
+                stacked[:, np.append(indices, n_columns - 1)] = triangle
                 triangles.append(stacked)
             self.triangles[ratios] = triangular_factor(np.vstack(triangles)), log_det
         return self.triangles[ratios]

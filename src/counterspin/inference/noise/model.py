@@ -146,7 +146,7 @@ class Differences:
     variance_ratio: float = 1.0
 
     @classmethod
-    def of(
+    def from_times(
         cls,
         times: ArrayLike,
         order: int,
@@ -177,7 +177,7 @@ class Differences:
         spacing = np.broadcast_to(np.asarray(sample_spacing, float), time.shape)
         if not (spacing > 0).all():
             raise ValueError("the sample spacing must be positive")
-        blocks = BlockSpans.of(time, counts, spacing)
+        blocks = BlockSpans.from_blocks(time, counts, spacing)
         if (blocks.half_length[1:] + blocks.half_length[:-1] >= steps).any():
             row = int(np.argmax(blocks.half_length[1:] + blocks.half_length[:-1] >= steps))
             raise ValueError(
@@ -233,8 +233,8 @@ class Differences:
         )
         variance_sets = (variances, *map(tuple, np.eye(len(COMPONENTS))[2:].tolist()))
         return [
-            cosines @ coefficient_root(size, n_cosines, length, walk_duration)
-            for size in variance_sets
+            cosines @ coefficient_root(variance_set, n_cosines, length, walk_duration)
+            for variance_set in variance_sets
         ]
 
     def _weights(self) -> tuple[Array, Array]:
@@ -322,8 +322,8 @@ def solve_banded_factor(bands: Array, rows: Array, transposed: bool = False) -> 
     from scipy.linalg.lapack import dtbtrs
 
     columns = rows if rows.ndim == 2 else rows[:, None]
-    solution, failed = dtbtrs(bands, columns, uplo="L", trans="T" if transposed else "N")
-    if failed:
+    solution, info = dtbtrs(bands, columns, uplo="L", trans="T" if transposed else "N")
+    if info:
         raise ArithmeticError("the noise of a row has zero variance: the covariance is singular")
     return np.asarray(solution if rows.ndim == 2 else solution[:, 0])
 
@@ -348,7 +348,10 @@ def make_whitener(
     walk_duration, added_variance: See `build_whitener`.
     """
     return build_whitener(
-        Differences.of(times, order, count, sample_spacing), noise, walk_duration, added_variance
+        Differences.from_times(times, order, count, sample_spacing),
+        noise,
+        walk_duration,
+        added_variance,
     )
 
 
@@ -376,7 +379,7 @@ def build_whitener(
         return Whitener(differences, bands, log_det, polynomials)
     variances = (float(np.mean(white)) * differences.variance_ratio, *noise.variances[1:])
     columns = differences.bias_columns(order, variances, walk_duration)[0]
-    bias_whitener = LowRankWhitener.of(solve_banded_factor(bands, columns))
+    bias_whitener = LowRankWhitener.from_root(solve_banded_factor(bands, columns))
     return Whitener(differences, bands, log_det + bias_whitener.log_det, polynomials, bias_whitener)
 
 
@@ -407,7 +410,7 @@ def information_loss(
         bias_root, *bias_columns = differences.bias_columns(
             differences.order, variances, walk_duration
         )
-        bias_whitener = LowRankWhitener.of(solve_banded_factor(bands, bias_root))
+        bias_whitener = LowRankWhitener.from_root(solve_banded_factor(bands, bias_root))
         rows = bias_whitener.apply(bias_whitener.apply(rows))
     weighted = solve_banded_factor(bands, rows, transposed=True)
     row_scale = np.sqrt(differences.variance_ratio / differences.blocks.count)

@@ -51,7 +51,7 @@ class BlockSpans:
     mean_cube: Array  #: Mean of abs(u - u')^3, s^3, shape (n,).
 
     @classmethod
-    def of(cls, time: Array, count: Array, spacing: Array) -> BlockSpans:
+    def from_blocks(cls, time: Array, count: Array, spacing: Array) -> BlockSpans:
         """Return blocks of `count` regular samples about `time`."""
         squared_count = count**2
         return cls(
@@ -66,9 +66,11 @@ class BlockSpans:
     @cached_property
     def times_since_last(self) -> tuple[Array, Array]:
         """Times from the last sample before a row to its mean time and its last sample, s, (n,)."""
-        last = self.time + self.half_length
-        before = np.concatenate(([self.time[0] - self.half_length[0]], last[:-1]))
-        return self.time - before, last - before
+        last_times = self.time + self.half_length
+        previous_last_times = np.concatenate(
+            ([self.time[0] - self.half_length[0]], last_times[:-1])
+        )
+        return self.time - previous_last_times, last_times - previous_last_times
 
     @cached_property
     def is_change(self) -> NDArray[np.bool_]:

@@ -34,7 +34,7 @@ class SensorSamples:
     stuck: int = 0  #: Rows in long intervals of a constant value, whose values are NaN.
 
     @classmethod
-    def of(cls, time: Array, values: Array) -> SensorSamples:
+    def from_rows(cls, time: Array, values: Array) -> SensorSamples:
         """Return the samples in rows; ValueError if their times cannot be determined.
 
         time: s, shape (n,), not decreasing.

@@ -98,7 +98,7 @@ def estimate_noise(
 
     prior_rows, prior_values: Prior information in rows of unit variance, (m, p) and (m,).
     """
-    likelihood = RestrictedLikelihood.of(records, prior_rows, prior_values)
+    likelihood = RestrictedLikelihood.from_records(records, prior_rows, prior_values)
     requested, white_maximum = noise.to_estimate, None
     if noise.has_bias_instability:
         white_maximum, _ = _select_components(likelihood, noise.without_bias_instability, None)
@@ -172,10 +172,10 @@ def _select_components(
         NoiseModelCandidate(
             likelihood, noise, tuple(n for n in COMPONENTS if n in (*required, *subset))
         )
-        for size in range(len(optional), -1, -1)
-        for subset in combinations(optional, size)
+        for n_components in range(len(optional), -1, -1)
+        for subset in combinations(optional, n_components)
     ]
-    maxima = [choice.maximum(white_maximum) for choice in candidates if choice.is_possible]
+    maxima = [candidate.maximum(white_maximum) for candidate in candidates if candidate.is_possible]
     if not maxima:
         raise ValueError("noise: all components are stated as zero, so the rows cannot be weighted")
     best_maximum = max(
@@ -195,14 +195,14 @@ class NoiseModelCandidate:
     @property
     def is_possible(self) -> bool:
         """True if every record has noise."""
-        has_added_variance = all(np.all(part) for part in self.likelihood.added_variances)
+        has_added_variance = all(np.all(variance) for variance in self.likelihood.added_variances)
         return has_added_variance or bool(self.names) or any(self.noise.known.variances)
 
     @cached_property
     def has_free_scale(self) -> bool:
         """True if all variances are unknown, so that the first is the scale of the others."""
-        known = dict(zip(COMPONENTS, self.noise.known.variances, strict=True))
-        fixed_variances = [size for name, size in known.items() if name not in self.names]
+        known_variances = dict(zip(COMPONENTS, self.noise.known.variances, strict=True))
+        fixed_variances = [size for name, size in known_variances.items() if name not in self.names]
         return (
             bool(self.names)
             and not any(fixed_variances)
@@ -330,12 +330,12 @@ class NoiseModelCandidate:
         self, function: Callable[[float, Variances], float], log_scale: float, x: Array
     ) -> tuple[float, Array, Array]:
         """Return the derivatives of a function of scale and ratios at a fixed scale."""
-        return _derivatives(lambda near: function(log_scale, self.scale_and_ratios(near)[1]), x)
+        return _derivatives(lambda point: function(log_scale, self.scale_and_ratios(point)[1]), x)
 
 
 def _mean_added_variance(likelihood: RestrictedLikelihood) -> float:
     """Return the mean of the known additional variances of the records."""
-    return float(np.mean([np.mean(added) for added in likelihood.added_variances]))
+    return float(np.mean([np.mean(variance) for variance in likelihood.added_variances]))
 
 
 def _scale_variances(factor: float, variances: Variances) -> Variances:
@@ -372,7 +372,7 @@ def _initial_variances(
 
 
 def _average_bias_noise(
-    likelihood: RestrictedLikelihood, best_maximum: Maximum, initial: Variances
+    likelihood: RestrictedLikelihood, best_maximum: Maximum, initial_variances: Variances
 ) -> tuple[Variances, Array]:
     """Return variances, with the posterior means of the bias components, and their covariance.
 
@@ -386,18 +386,18 @@ def _average_bias_noise(
         if name not in BIAS_COMPONENTS:
             continue
         index = COMPONENTS.index(name)
-        central_variance = max(variances[index], initial[index])
-        grid = central_variance * np.exp(_LOG_VARIANCE_OFFSETS)
+        central_variance = max(variances[index], initial_variances[index])
+        walk_variances = central_variance * np.exp(_LOG_VARIANCE_OFFSETS)
         log_likelihoods = []
-        for variance in grid.tolist():
+        for variance in walk_variances.tolist():
             variances[index] = variance
             log_likelihoods.append(likelihood.value(*_normalise(likelihood, tuple(variances))))
         # Grid and density are uniform in the logarithm.
         weights = (
             np.exp(np.array(log_likelihoods) - max(log_likelihoods))
-            * (grid / central_variance) ** PRIOR_EXPONENT
+            * (walk_variances / central_variance) ** PRIOR_EXPONENT
         )
-        posterior = UndetectedWalk(grid, weights / weights.sum())
+        posterior = UndetectedWalk(walk_variances, weights / weights.sum())
         negligible = np.array([1e-9 * central_variance * math.exp(_LOG_VARIANCE_OFFSETS[0])])
         variances[index], inverse_dof = marginal_walk(posterior, negligible, np.ones(1))
         covariance[index], covariance[:, index] = 0.0, 0.0

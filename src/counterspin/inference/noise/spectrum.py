@@ -124,7 +124,7 @@ def spectrum(
             is_in_bin = bin_numbers == bin_number
             mean = 0.5 * float(np.mean(density[is_in_range][is_in_bin]))
             dof = dof_per_line * max(1.0, _INDEPENDENT_FRACTION * np.count_nonzero(is_in_bin))
-            low, high = (float(mean * dof / chi2.ppf(part, dof)) for part in (0.975, 0.025))
+            low, high = (float(mean * dof / chi2.ppf(p, dof)) for p in (0.975, 0.025))
             mean_frequency = float(np.exp(np.mean(np.log(frequency[is_in_range][is_in_bin]))))
             angle = np.array([2.0 * math.pi * step * mean_frequency])
             expected = step * float(
@@ -144,12 +144,12 @@ def find_lines(force: Array, step: float) -> tuple[list[SpectralLine], Array]:
         return [], force
     window = np.hanning(n + 2)[1:-1]
     frequencies: list[float] = []
-    remainder = force - force.mean()
-    noise_floor = _noise_floor(np.abs(np.fft.rfft(window * remainder)) ** 2)
+    residual = force - force.mean()
+    noise_floor = _noise_floor(np.abs(np.fft.rfft(window * residual)) ** 2)
     limit = math.log(0.5 * n / _FALSE_ALARM_PROBABILITY)
     amplitudes: list[complex] = []
     while len(frequencies) < _MAX_LINES:
-        power = np.abs(np.fft.rfft(window * remainder)) ** 2
+        power = np.abs(np.fft.rfft(window * residual)) ** 2
         ratio = power / noise_floor
         ratio[:_MIN_PERIODS] = ratio[-_PEAK_WIDTH:] = 0.0
         peak = int(np.argmax(ratio))
@@ -159,14 +159,14 @@ def find_lines(force: Array, step: float) -> tuple[list[SpectralLine], Array]:
         log_below, log_peak, log_above = np.log(power[peak - 1 : peak + 2])
         offset = 0.5 * (log_below - log_above) / (log_below - 2.0 * log_peak + log_above)
         peak_frequency = (peak + float(np.clip(offset, -0.5, 0.5))) / (n * step)
-        if any(abs(peak_frequency - known) * n * step < _PEAK_WIDTH for known in frequencies):
+        if any(
+            abs(peak_frequency - frequency) * n * step < _PEAK_WIDTH for frequency in frequencies
+        ):
             break  # remainder of a line whose frequency is not constant
-        frequencies, amplitudes, remainder = _fit_lines(force, step, [*frequencies, peak_frequency])
+        frequencies, amplitudes, residual = _fit_lines(force, step, [*frequencies, peak_frequency])
     if not frequencies:
         return [], force
-    noise_floor = _noise_floor(np.abs(np.fft.rfft(window * remainder)) ** 2) / float(
-        window @ window
-    )
+    noise_floor = _noise_floor(np.abs(np.fft.rfft(window * residual)) ** 2) / float(window @ window)
     lines = []
     for frequency, amplitude in zip(frequencies, amplitudes, strict=True):
         index = min(round(frequency * n * step), noise_floor.size - 1)
@@ -177,7 +177,7 @@ def find_lines(force: Array, step: float) -> tuple[list[SpectralLine], Array]:
             math.sqrt(6.0 * _FREQUENCY_LOSS) * noise_sd / (math.pi * n * step * abs(amplitude))
         )
         lines.append(SpectralLine(frequency, u_frequency, abs(amplitude), u))
-    return lines, remainder + force.mean()
+    return lines, residual + force.mean()
 
 
 def _fit_lines(
@@ -281,21 +281,21 @@ def allan_values(
 
 
 def allan_moments(
-    samples: int, step: float, sampling: Sampling, variances: Variances, count: int
+    n_samples: int, step: float, sampling: Sampling, variances: Variances, count: int
 ) -> tuple[float, float]:
     """Return the expected Allan deviation of a noise, and its equivalent degrees of freedom.
 
-    samples: Number of samples of the specific force.
+    n_samples: Number of samples of the specific force.
     count: Number of steps in the averaging time.
     """
     from scipy.fft import dct, next_fast_len
 
-    n_frequencies = next_fast_len(2 * samples, real=True)
+    n_frequencies = next_fast_len(2 * n_samples, real=True)
     angle = math.pi * (np.arange(n_frequencies) + 0.5) / n_frequencies
     density = np.asarray(variances) @ sampled_densities(angle, step, sampling)
     filter_gain = 4.0 * step**2 * np.sin(count * angle / 2.0) ** 4 / np.sin(angle / 2.0) ** 2
     covariance = dct(density * filter_gain, type=2) / (2.0 * n_frequencies)
-    n_terms = samples + 1 - 2 * count
+    n_terms = n_samples + 1 - 2 * count
     lag = np.arange(1, n_terms)
     squared_correlations = (covariance[1:n_terms] / covariance[0]) ** 2
     dof = n_terms / (1.0 + 2.0 * float(((1.0 - lag / n_terms) * squared_correlations).sum()))

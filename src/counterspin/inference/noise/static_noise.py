@@ -91,7 +91,7 @@ class Segments:
     @property
     def longest(self) -> tuple[float, Array]:
         """Longest segment."""
-        return max(self.segments, key=lambda part: part[1].size)
+        return max(self.segments, key=lambda segment: segment[1].size)
 
 
 @frozen(eq=False)
@@ -158,7 +158,7 @@ def split_segments(time: Array, values: Array) -> Segments:
     if has_value.sum() > 1 and median(np.diff(time[has_value])) > 1.5 * median(np.diff(time)):
         # The log also contains rows of other sensors.
         time, values = time[has_value], values[has_value]
-    samples = SensorSamples.of(time, values)
+    samples = SensorSamples.from_rows(time, values)
     time, values = samples.time, samples.values
     if time.size < _MIN_SAMPLES:
         raise ValueError(f"{time.size} samples are too few: {_MIN_SAMPLES} are required")
@@ -284,7 +284,7 @@ def analyse(segments: Segments, order: int) -> StaticAnalysis:
             residual = np.concatenate([[0.0], np.cumsum(residual) * decimated_step])
         time = start - mean_time + decimated_step * (np.arange(force.size) + 0.5 * noise_order)
         records.append(
-            EvenlySampledData.of(residual, decimated_step, sampling, time[:, None], first)
+            EvenlySampledData.from_samples(residual, decimated_step, sampling, time[:, None], first)
         )
         first += 2 * noise_order
         if samples is longest_segment:
@@ -356,7 +356,7 @@ def estimate_static_noise(records: Sequence[EvenlySampledData]) -> StaticNoise:
     """
     if sum(record.observations.size for record in records) < 4 * (2 + len(COMPONENTS)):
         raise NotIdentifiableError("the record is too short to estimate the noise")
-    likelihood = RestrictedLikelihood.of(records, None, None)
+    likelihood = RestrictedLikelihood.from_records(records, None, None)
     best_maximum, full_maximum, log_likelihoods_without = _eliminate_components(likelihood)
     components: dict[str, SizedComponent] = {}
     for name in COMPONENTS:
@@ -388,10 +388,10 @@ def _eliminate_components(
     while True:
         reduced_maxima: dict[str, tuple[float, Variances]] = {}
         for name in names:
-            remaining = tuple(component for component in names if component != name)
+            remaining_names = tuple(component for component in names if component != name)
             # A white component of samples or sensor is required.
-            if set(remaining) & set(COMPONENTS[:2]):
-                reduced_maxima[name] = _candidate(likelihood, remaining).maximize(start)
+            if set(remaining_names) & set(COMPONENTS[:2]):
+                reduced_maxima[name] = _candidate(likelihood, remaining_names).maximize(start)
         log_likelihoods_without = log_likelihoods_without or {
             name: log_likelihood for name, (log_likelihood, _) in reduced_maxima.items()
         }
@@ -512,13 +512,13 @@ def _profile_likelihood(
     """
     free_components = tuple(component for component in COMPONENTS if component != name)
     # The search cannot leave variances far below these.
-    undetectable = _undetectable_variances(likelihood, full_maximum)
+    undetectable_variances = _undetectable_variances(likelihood, full_maximum)
     free_noise = Noise(0.0).with_sizes(dict.fromkeys(free_components, ESTIMATE))
     last_variances = [full_maximum.variances]
 
     def profile(log_variance: float) -> float:
         fixed_noise = free_noise.with_sizes({name: math.exp(0.5 * log_variance)})
-        initial = tuple(map(max, last_variances[0], undetectable))
+        initial = tuple(map(max, last_variances[0], undetectable_variances))
         log_likelihood, last_variances[0] = NoiseModelCandidate(
             likelihood, fixed_noise, free_components
         ).maximize(initial)

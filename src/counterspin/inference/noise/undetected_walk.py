@@ -109,7 +109,9 @@ def marginal_walk(
     level = max(u**2 - variances[most_affected], 0.0) / sensitivities[most_affected]
     total_variances = variances + sensitivities * level
     quantile_ratios = interval_quantiles / np.sqrt(total_variances)
-    walk_inverse_dof = np.array([1.0 / _dof_from_quantile(float(size)) for size in quantile_ratios])
+    walk_inverse_dof = np.array(
+        [1.0 / _dof_from_quantile(float(ratio)) for ratio in quantile_ratios]
+    )
     return level, (variances / total_variances) ** 2 * inverse_dof + walk_inverse_dof
 
 
@@ -119,9 +121,9 @@ def _quantile(sds: Array, weights: Array, level: float) -> Array:
 
     low, high = np.zeros(len(sds)), 10.0 * sds.max(axis=1)
     for _ in range(60):
-        middle = 0.5 * (low + high)
-        is_below = ndtr(middle[:, None] / sds) @ weights < level
-        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
+        midpoint = 0.5 * (low + high)
+        is_below = ndtr(midpoint[:, None] / sds) @ weights < level
+        low, high = np.where(is_below, midpoint, low), np.where(is_below, high, midpoint)
     return np.asarray(high)
 
 

@@ -153,8 +153,8 @@ def _interpolate(
         fraction == 0.0, error_before, (1.0 - fraction) * error_before + fraction * error_after
     )
     value = np.where(fraction == 1.0, error_after, value)
-    samples = np.ones(time.size) if count is None else count
-    variance = (1.0 - fraction) ** 2 / samples[row_before] + fraction**2 / samples[row_before + 1]
+    counts = np.ones(time.size) if count is None else count
+    variance = (1.0 - fraction) ** 2 / counts[row_before] + fraction**2 / counts[row_before + 1]
     is_kept = (is_inside | (fraction == 0.0) | (fraction == 1.0)) & np.isfinite(value)
     if np.count_nonzero(is_kept) < MIN_STROBES:
         raise RecordError(

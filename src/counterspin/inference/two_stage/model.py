@@ -107,9 +107,9 @@ class TwoStageRequest:
     def unknowns(self) -> dict[str, tuple[float, float]]:
         """Estimated unknowns, K_II first, with their priors; infinite: no prior information."""
         unknowns = {"K_II": self.priors.get("K_II", NO_PRIOR)}
-        bias = self.priors.get("K_F", NO_PRIOR)
-        if self.model == "exact" and self.fit_bias and bias[1] > 0.0:
-            unknowns["K_F"] = bias
+        bias_prior = self.priors.get("K_F", NO_PRIOR)
+        if self.model == "exact" and self.fit_bias and bias_prior[1] > 0.0:
+            unknowns["K_F"] = bias_prior
         if self.model == "as-printed":
             unknowns[RIPPLE] = NO_PRIOR
         elif self.nominal_angle:
@@ -170,11 +170,11 @@ def select_strobes(series: ResidualSeries) -> tuple[ResidualSeries, Strobes]:
     phase = strobe_angle(series.mounting.turned(series.attitude).input_axis)
     angle = series.trajectory.spindle.angle(series.time)
 
-    def at_strobes(values: Array) -> Strobes:
+    def interpolate_strobes(values: Array) -> Strobes:
         return by_angle(series.time, angle, values, phase, series.count)
 
-    strobes, sensitivity = at_strobes(series.error), series.latitude_sensitivity
-    latitude_sensitivity = None if sensitivity is None else at_strobes(sensitivity).error
+    strobes, sensitivity = interpolate_strobes(series.error), series.latitude_sensitivity
+    latitude_sensitivity = None if sensitivity is None else interpolate_strobes(sensitivity).error
     record = replace(
         series,
         time=strobes.time,
@@ -241,7 +241,7 @@ class Curvature(DesignBlock):
     parabola: Parabola  #: Parabola through the strobes.
 
     @classmethod
-    def of(cls, block: DesignBlock, parabola: Parabola) -> Curvature:
+    def from_block(cls, block: DesignBlock, parabola: Parabola) -> Curvature:
         """Return the curvature of a design block at its strobes."""
         values = {attribute.name: getattr(block, attribute.name) for attribute in fields(block)}
         return cls(**values, parabola=parabola)
@@ -253,8 +253,8 @@ class Curvature(DesignBlock):
         curvature = parabola.gain[2][None, :] / sigma
         chi2 = parabola.chi2 if math.isfinite(parabola.chi2) else 0.0
         target = np.array([parabola.b2 / sigma])
-        factor, fixed = curvature @ self.design, curvature @ self.considered_design
-        return Block(factor, target, fixed, chi2, parabola.dof + 3, 2)
+        factor, considered = curvature @ self.design, curvature @ self.considered_design
+        return Block(factor, target, considered, chi2, parabola.dof + 3, 2)
 
 
 def exact_columns(

@@ -175,7 +175,7 @@ class SecondStage:
         column = rows[:, self.symbols.index(symbol)]
         weights = {}
         for considered_symbol in other_symbols:
-            indices = self._places(considered_symbol)
+            indices = self._considered_indices(considered_symbol)
             effect = considered[:, indices].sum(axis=1)
             norm, inner_product = float(np.linalg.norm(effect)), float(column @ effect)
             limit = max((self.fit.model.considered[k].limit for k in indices), default=0.0)
@@ -191,14 +191,16 @@ class SecondStage:
 
         For a term of each run, the effects of the runs are combined as independent.
         """
-        sensitivities = -self.fit.solution.sensitivity_considered[:, self._places(symbol)]
+        sensitivities = -self.fit.solution.sensitivity_considered[
+            :, self._considered_indices(symbol)
+        ]
         return np.asarray(
             sensitivities[:, 0]
             if sensitivities.shape[1] == 1
             else np.linalg.norm(sensitivities, axis=1)
         )
 
-    def _places(self, symbol: str) -> list[int]:
+    def _considered_indices(self, symbol: str) -> list[int]:
         considered = self.fit.model.considered
         return [index for index, term in enumerate(considered) if term.symbol == symbol]
 
@@ -217,7 +219,7 @@ def resolve(
     noise = {series[0].accelerometer: Noise(parabolas[0].sigma, request.random_walk or 0.0)}
 
     def solve(blocks: Sequence[DesignBlock], model: Unknowns) -> JointFit:
-        rows = map(Curvature.of, blocks, parabolas)
+        rows = map(Curvature.from_block, blocks, parabolas)
         fit = solve_joint(tuple(rows), model, noise)
         if request.weighted:
             return fit
@@ -346,7 +348,7 @@ def _check_rates(
     free_symbols = [u.symbol for u in model.unknowns if math.isinf(u.prior[1])]
     even_symbols = [symbol for symbol in free_symbols if symbol not in sense_dependent]
     rates = [record.trajectory.spindle.rate for record in series]
-    for required, n_rates, description in (
+    for n_required, n_rates, description in (
         (
             even_symbols,
             _count_distinct_rates([abs(rate) for rate in rates]),
@@ -354,10 +356,10 @@ def _check_rates(
         ),
         (free_symbols, _count_distinct_rates(rates), "rates"),
     ):
-        if n_rates < len(required):
+        if n_rates < len(n_required):
             raise NotIdentifiableError(
-                f"{len(required)} unknowns without a prior ({', '.join(required)}) require at "
-                f"least {len(required)} different {description}, but the campaign has only "
+                f"{len(n_required)} unknowns without a prior ({', '.join(n_required)}) require at "
+                f"least {len(n_required)} different {description}, but the campaign has only "
                 f"{n_rates}. Add runs at other rates, or state priors"
             )
 
@@ -366,7 +368,8 @@ def _count_distinct_rates(rates: Sequence[float]) -> int:
     distinct_rates: list[float] = []
     for rate in rates:
         if all(
-            abs(rate - distinct) > _RATE_TOLERANCE * abs(distinct) for distinct in distinct_rates
+            abs(rate - distinct_rate) > _RATE_TOLERANCE * abs(distinct_rate)
+            for distinct_rate in distinct_rates
         ):
             distinct_rates.append(rate)
     return len(distinct_rates)
