@@ -537,7 +537,7 @@ MISTAKES = {
     "runs": ([("\n[goal]\n", '\n[[runs]]\nname = "a"\n[goal]\n')],
              "runs: the plan selects the runs"),
     "noise": ([('displacement = "0.01 m"', 'displacement = "estimate"')],
-              "noise.displacement: a plan cannot estimate"),
+              "noise.displacement: the noise cannot be estimated"),
     "silence": ([('displacement = "0.01 m"', 'displacement = "0 m"')],
                 "noise: Qx has no noise; state"),
     "attitude": ([(ATTITUDES, 'attitudes = ["upright"]')], "is not an attitude"),

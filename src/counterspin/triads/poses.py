@@ -495,6 +495,6 @@ def _divergence_error(poses: TriadPoses, n_iterations: int) -> str:
     )
     return (
         f"{poses.accelerometer}: the fit of {poses.size} poses did not converge in "
-        f"{n_iterations} rounds. The directions of the poses lie within {max_angle:.0f} deg of each other; "
-        "measure poses in all directions, or state priors for the coefficients."
+        f"{n_iterations} iterations. The directions of the poses lie within {max_angle:.0f} deg of "
+        "each other; measure poses in all directions, or state priors for the coefficients."
     )
