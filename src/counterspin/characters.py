@@ -16,14 +16,7 @@ _CONTROL_CHARACTER: Final = re.compile(
 )
 
 #: Substitutes for characters in encodings without them.
-_ASCII_SUBSTITUTES: Final = {
-    "±": "+/-",
-    "×": "x",
-    "−": "-",
-    "–": "-",
-    "µ": "u",
-    "…": "...",
-}
+_ASCII_SUBSTITUTES: Final = {"±": "+/-", "×": "x", "−": "-", "–": "-", "µ": "u", "…": "..."}
 
 #: Superscript digits, such as those of 10⁻⁵, are substituted by a caret and plain digits.
 _SUPERSCRIPT_DIGITS: Final = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")

@@ -89,10 +89,7 @@ def _make_draft(
 
 
 def draft_overview(
-    app: AppState,
-    names: list[str],
-    answers: dict[str, str] | None = None,
-    test: Test | None = None,
+    app: AppState, names: list[str], answers: dict[str, str] | None = None, test: Test | None = None
 ) -> DraftOverview:
     """Return the detected contents of files, questions and mistakes."""
     draft, selected_test, descriptions = _make_draft(app, names, answers, test)

@@ -272,11 +272,7 @@ class Jobs:
 
 
 def run_calibration(
-    connection: Connection,
-    campaign: Path,
-    output: Path,
-    method: Method,
-    accept_misfit: str | None,
+    connection: Connection, campaign: Path, output: Path, method: Method, accept_misfit: str | None
 ) -> None:
     """Calibrate a campaign and write its result."""
 

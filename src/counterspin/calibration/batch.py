@@ -170,11 +170,7 @@ def try_to_calibrate(
     """Calibrate one campaign; return errors as text instead of raising them."""
     try:
         return calibrate(
-            directory,
-            method=method,
-            options=options,
-            accept_misfit=accept_misfit,
-            without=without,
+            directory, method=method, options=options, accept_misfit=accept_misfit, without=without
         )
     except CounterspinError as error:
         return FailedCampaign(error=str(error))

@@ -42,10 +42,7 @@ class Diagnosis:
 
 
 #: Arguments: views of the joint fit, and results by accelerometer.
-Diagnose = Callable[
-    [Sequence[AccelerometerView], Mapping[str, AccelerometerResult]],
-    Diagnosis,
-]
+Diagnose = Callable[[Sequence[AccelerometerView], Mapping[str, AccelerometerResult]], Diagnosis]
 
 
 def find_diagnosis() -> Diagnose | None:

@@ -45,11 +45,7 @@ from counterspin.calibration.outcome import (
     residual_tables,
     summarize_residuals,
 )
-from counterspin.calibration.result_parts import (
-    AccelerometerResult,
-    Coefficient,
-    Finding,
-)
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint import estimation

@@ -14,13 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import (
-    Field,
-    ModelWrapValidatorHandler,
-    PrivateAttr,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, field_validator, model_validator
 
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -404,9 +398,7 @@ class Result(ReportableResult):
         """Return its report, to be written as HTML, PDF or Markdown."""
         publication: Publication = super().publication(identifier)
         return replace(
-            publication,
-            title=self.title or "Calibration",
-            version=self.provenance.version,
+            publication, title=self.title or "Calibration", version=self.provenance.version
         )
 
     def validation_errors(self) -> Iterator[str]:

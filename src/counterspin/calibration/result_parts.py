@@ -115,8 +115,7 @@ class Coefficient(ResultPart):
         stated_gravity = self._gravity if gravity is None else StatedGravity(gravity)
         if stated_gravity is None:
             raise ValueError(
-                "this coefficient does not belong to a result; give the value of g in its unit "
-                "(`gravity`)"
+                "this coefficient does not belong to a result; give `gravity`, the g of its unit"
             )
         return convert_to_si(*self._require_value(), self.unit, self.dof, stated_gravity)
 

@@ -40,11 +40,7 @@ from counterspin.campaign.frequency_response import ResponseReader, replace_inpu
 from counterspin.campaign.model import check_near_nominal
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.runs import is_reading
-from counterspin.campaign.settings import (
-    OBSERVABLES,
-    Output,
-    term_keys,
-)
+from counterspin.campaign.settings import OBSERVABLES, Output, term_keys
 from counterspin.campaign.validation import Problems
 from counterspin.errors import InputError, Problem, error_code
 from counterspin.physics.accelerometer import Mounting

@@ -195,11 +195,7 @@ class TableDialect(SettingsSection):
         "number of lines (or sheet rows) before the column names", 5, None, absent="detected"
     )
     delimiter: Literal[",", ";", "\t"] | None = key_field(
-        "cell delimiter of a text file",
-        ";",
-        None,
-        absent="detected",
-        kind="`,` `;` or tab",
+        "cell delimiter of a text file", ";", None, absent="detected", kind="`,` `;` or tab"
     )
     decimal: Literal[".", ","] | None = key_field(
         "decimal separator; required for a readings table with decimal commas",

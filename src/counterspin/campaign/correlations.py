@@ -116,9 +116,7 @@ def _expand_name(name: str, priors: Mapping[str, Mapping[str, Quantity]]) -> lis
 
 
 def _check_correlatable(
-    name: str,
-    priors: Mapping[str, Mapping[str, Quantity]],
-    considered: Collection[str],
+    name: str, priors: Mapping[str, Mapping[str, Quantity]], considered: Collection[str]
 ) -> None:
     """Raise ValueError if the prior of a term cannot be correlated."""
     owner, _, symbol = name.partition(".")

@@ -21,18 +21,12 @@ from counterspin.campaign.documents import (
     set_source,
     table_of,
 )
-from counterspin.campaign.model import (
-    ErrorModel,
-)
+from counterspin.campaign.model import ErrorModel
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import Reading, Triad
 from counterspin.campaign.resolution import DescriptionReader
-from counterspin.campaign.runs import (
-    Run,
-)
-from counterspin.campaign.settings import (
-    NoiseSettings,
-)
+from counterspin.campaign.runs import Run
+from counterspin.campaign.settings import NoiseSettings
 from counterspin.campaign.validation import Problems
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen

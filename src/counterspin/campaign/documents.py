@@ -85,9 +85,7 @@ def description_file(location: Path | str) -> Path:
 
 
 def flatten_keys(
-    table: Mapping[str, Any],
-    prefix: str = "",
-    is_value: Callable[[object], bool] = lambda _: False,
+    table: Mapping[str, Any], prefix: str = "", is_value: Callable[[object], bool] = lambda _: False
 ) -> dict[str, Any]:
     """Flatten nested tables to keys with dots, such as ``platform.tilt``.
 

@@ -501,8 +501,7 @@ def require_units(value: Any, info: ValidationInfo) -> Any:
                 unit = units.get(name, default_unit)
                 example = f'"{entry!r} {unit}"'
                 raise InputError(
-                    f"has no unit; write the quantity as text, such as {example}",
-                    "missing-unit",
+                    f"has no unit; write the quantity as text, such as {example}", "missing-unit"
                 )
     return value
 

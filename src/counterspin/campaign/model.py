@@ -243,10 +243,7 @@ def resolve_model(
             problems.add(("model",), f"{message}; keep one")
             break
     correlations = read_correlations(
-        settings.priors.get(CORRELATION_KEY, []),
-        accelerometer_priors,
-        considered,
-        problems,
+        settings.priors.get(CORRELATION_KEY, []), accelerometer_priors, considered, problems
     )
     limits = _resolve_sizes("limits", settings.limits, problems, gravity)
     typical = _resolve_sizes("typical", settings.typical, problems, gravity)

@@ -30,10 +30,7 @@ _MAGNITUDE_RANGE: Final = (1e-60, 1e60)
 _MAX_MAGNITUDES: Final = {"rad": 1e9, "s": 1e12}
 
 #: Likely units of a number without a unit, if not the first accepted unit alone.
-_LIKELY_UNITS: Final = {
-    "rad": ("deg", "arcsec", "rad"),
-    "rad/s": ("rad/s", "rev/s", "deg/s"),
-}
+_LIKELY_UNITS: Final = {"rad": ("deg", "arcsec", "rad"), "rad/s": ("rad/s", "rev/s", "deg/s")}
 
 NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 PLUS_MINUS: Final = r"\s*(?:±|\+/-|\+-)\s*"

@@ -8,23 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from pydantic import BaseModel, Field
 
-from counterspin.campaign.accelerometers import (
-    AccelerometerKeys,
-    AccelerometersReader,
-)
+from counterspin.campaign.accelerometers import AccelerometerKeys, AccelerometersReader
 from counterspin.campaign.columns import Recording, RecordsSettings
 from counterspin.campaign.consistency_checks import run_checks
-from counterspin.campaign.documents import (
-    KeyPath,
-    list_of,
-    table_of,
-)
+from counterspin.campaign.documents import KeyPath, list_of, table_of
 from counterspin.campaign.field_types import Schema, SettingsSection, key_field
 from counterspin.campaign.frequency_response import ResponseReader
-from counterspin.campaign.model import (
-    MeasurementSetup,
-    resolve_model,
-)
+from counterspin.campaign.model import MeasurementSetup, resolve_model
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.reading import DescribedReadings, Reading
 from counterspin.campaign.runs import (
@@ -58,9 +48,7 @@ NO_RECORDING: Final = Recording(ColumnSpec("", unit="s"), None)
 
 #: Tables of accelerometers, by name.
 Accelerometers = Annotated[
-    dict[str, Any],
-    Field(min_length=1),
-    Section(dict[str, AccelerometerKeys]),  # type: ignore[valid-type]
+    dict[str, Any], Field(min_length=1), Section(dict[str, AccelerometerKeys])  # type: ignore[valid-type]
 ]
 Runs = Annotated[list[Any], Section(list[Run])]
 
@@ -163,10 +151,7 @@ class DescriptionReader:
         self.is_simulated = "simulation" in raw or "truth" in raw
         self.skipped_names = skipped_runs(runs)
         self.accelerometers = AccelerometersReader(
-            self._complete_tables(tables),
-            [run for _, run in indexed_runs],
-            problems,
-            self.gravity,
+            self._complete_tables(tables), [run for _, run in indexed_runs], problems, self.gravity
         )
 
     def _read_section(self, key: str, model: type[BaseModel], **context: object) -> None:

@@ -13,12 +13,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Final
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    PlainValidator,
-    ValidationInfo,
-)
+from pydantic import AfterValidator, BeforeValidator, PlainValidator, ValidationInfo
 
 from counterspin.campaign.field_types import (
     DateOrText,

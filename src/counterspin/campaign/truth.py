@@ -320,10 +320,7 @@ class TruthSettings(SettingsSection):
         {},
     )
     noise: Annotated[dict[str, Any], Section(TrueNoise)] = key_field(
-        "noise of records and of readings",
-        {"displacement": "0.01 m"},
-        {},
-        absent="as in `[noise]`",
+        "noise of records and of readings", {"displacement": "0.01 m"}, {}, absent="as in `[noise]`"
     )
     machine: dict[str, Any] = key_field(
         "machine terms that affect readings", {"centrifuge.radius.in": "1.00001 m"}, {}

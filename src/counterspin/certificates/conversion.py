@@ -326,11 +326,7 @@ def apply_cmc_floor(result: Result, lab: Lab) -> Result:
 
 
 #: Type of a triad's parameter -> the terms whose CMC limits it.
-_CMC_TERMS: Final = {
-    "offset": ("K_F",),
-    "sensitivity": ("K_I",),
-    "angle": ("delta_O", "delta_P"),
-}
+_CMC_TERMS: Final = {"offset": ("K_F",), "sensitivity": ("K_I",), "angle": ("delta_O", "delta_P")}
 
 
 def _apply_cmc_floor_to_triad(result: Result, triad: TriadResult, lab: Lab) -> TriadResult:

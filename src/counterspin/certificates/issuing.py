@@ -44,20 +44,10 @@ from counterspin.certificates.lab import Lab, add_required_keys, read_lab
 from counterspin.certificates.ledger import IssueDetails, record_certificate, sha256_hex
 from counterspin.certificates.pdf_pages import CERTIFICATE_TITLE, page_blocks, results_table
 from counterspin.certificates.schema import check_schema
-from counterspin.certificates.signature import (
-    PdfSignatureStatus,
-    is_signed,
-    sign_document,
-    verify,
-)
+from counterspin.certificates.signature import PdfSignatureStatus, is_signed, sign_document, verify
 from counterspin.certificates.signers import KeyMaterial, Signer, read_certificates
 from counterspin.certificates.statements import Issue
-from counterspin.errors import (
-    CampaignError,
-    ExistingFileError,
-    RecordError,
-    UsageError,
-)
+from counterspin.errors import CampaignError, ExistingFileError, RecordError, UsageError
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.output import check_writable, write_atomically

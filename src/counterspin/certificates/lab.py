@@ -29,10 +29,7 @@ from counterspin.campaign.documents import (
 )
 from counterspin.campaign.field_types import Contradiction, SettingsSection, key_field
 from counterspin.campaign.quantity import Quantity, parse_quantity
-from counterspin.campaign.specification import (
-    Specifications,
-    resolve_specifications,
-)
+from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.validation import Problems, Section, suggest_name
 from counterspin.certificates.codes import check_code
 from counterspin.certificates.evidence import ALL_TERMS, is_known_key
@@ -107,11 +104,7 @@ class CertificateSettings(SettingsSection):
     )
     begin: datetime.date = key_field("first day of the calibration", datetime.date(2026, 3, 2))
     end: datetime.date = key_field("last day of the calibration", datetime.date(2026, 3, 4))
-    place: Place = key_field(
-        "place of the calibration",
-        "customer",
-        "laboratory",
-    )
+    place: Place = key_field("place of the calibration", "customer", "laboratory")
     received: datetime.date | None = key_field(
         "date of receipt of the item", datetime.date(2026, 2, 27), None, absent="not stated"
     )
@@ -131,10 +124,7 @@ class CertificateSettings(SettingsSection):
         None,
     )
     procedure: Text | None = key_field(
-        "identifier of the laboratory's procedure",
-        "QP-17, issue 3",
-        None,
-        absent="not stated",
+        "identifier of the laboratory's procedure", "QP-17, issue 3", None, absent="not stated"
     )
     deviations: list[Text] = key_field(
         "deviations from the procedure (additions, exclusions), as a list of sentences",
@@ -210,9 +200,7 @@ class Item(SettingsSection):
     serial_number: Text = key_field("serial number of the item", "0042")
     inventory_number: Text | None = key_field("customer's identifier for the item", "INV-7", None)
     state: ItemState | None = key_field(
-        "state of the item during the calibration",
-        "as received",
-        None,
+        "state of the item during the calibration", "as received", None
     )
 
 

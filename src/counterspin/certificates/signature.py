@@ -17,12 +17,7 @@ from typing import Any, Final, Literal
 
 from counterspin.certificates.schema import NAMESPACES, Element, parse_xml
 from counterspin.certificates.signers import KeyMaterial, Signer, read_certificates
-from counterspin.errors import (
-    MAX_REASON_LENGTH,
-    MissingPackageError,
-    RecordError,
-    install_command,
-)
+from counterspin.errors import MAX_REASON_LENGTH, MissingPackageError, RecordError, install_command
 from counterspin.frozen import frozen
 
 _XMLDSIG_NAMESPACE: Final = "{http://www.w3.org/2000/09/xmldsig#}"
@@ -261,9 +256,7 @@ def sign_pages(pdf: bytes, signer: Signer, date: datetime) -> bytes:
     embedder = PdfCMSEmbedder(field_spec).write_cms(_FIELD_NAME, IncrementalUpdate(pdf_buffer))
     next(embedder)
     placeholder = SignatureObject(
-        timestamp=date,
-        subfilter=SigSeedSubFilter.PADES,
-        bytes_reserved=2 * reserved_size,
+        timestamp=date, subfilter=SigSeedSubFilter.PADES, bytes_reserved=2 * reserved_size
     )
     permissions = SigMDPSetup("sha256", certify=True, docmdp_perms=MDPPerm.NO_CHANGES)
     embedder.send(SigObjSetup(sig_placeholder=placeholder, mdp_setup=permissions))

@@ -11,12 +11,7 @@ from counterspin.calibration.result import Result
 from counterspin.certificates import certificate_text
 from counterspin.certificates.amendment import AmendedCertificate, amendment_lines
 from counterspin.certificates.completeness import default_evidence_lines
-from counterspin.certificates.conversion import (
-    certified_triad,
-    cmc_lines,
-    triad_lines,
-    triad_title,
-)
+from counterspin.certificates.conversion import certified_triad, cmc_lines, triad_lines, triad_title
 from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Lab
 from counterspin.certificates.schema import ENGLISH

@@ -177,10 +177,7 @@ def certificate(
     """
     from counterspin.certificates.amendment import Amendment
     from counterspin.certificates.issuing import certificate as issue_certificate
-    from counterspin.certificates.issuing import (
-        certificate_blocks,
-        check_certificate,
-    )
+    from counterspin.certificates.issuing import certificate_blocks, check_certificate
     from counterspin.certificates.lab import write_example
     from counterspin.reports.text import Report, make_console
 

@@ -104,8 +104,7 @@ def _import_files(
     test = stated_test or _choose_test(contents, is_interactive=is_interactive)
     draft = make_draft(contents, answers, test)
     print_output(
-        f"Detected for the test type {test} (please check):",
-        *(f"  {s}" for s in draft.statements),
+        f"Detected for the test type {test} (please check):", *(f"  {s}" for s in draft.statements)
     )
     if is_interactive and not draft.problems:
         printed_statements = draft.statements
@@ -143,11 +142,7 @@ def _add_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
 
 def _choose_test(contents: Sequence[FileContents], *, is_interactive: bool) -> Test:
     """Return the type of test: chosen by the user, or else detected."""
-    from counterspin.ingest.overview import (
-        explain_unknown_test,
-        guess_test,
-        make_test_question,
-    )
+    from counterspin.ingest.overview import explain_unknown_test, guess_test, make_test_question
 
     detected_test = guess_test(contents)
     question = make_test_question(detected_test)

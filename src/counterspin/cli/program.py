@@ -14,12 +14,7 @@ from counterspin.cli.common import (
     print_output,
     quote_path,
 )
-from counterspin.errors import (
-    CounterspinError,
-    MissingPackageError,
-    UsageError,
-    install_command,
-)
+from counterspin.errors import CounterspinError, MissingPackageError, UsageError, install_command
 
 
 @command

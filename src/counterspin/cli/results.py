@@ -250,11 +250,7 @@ def intercompare(
 
 @command
 def rerun(
-    result: Path,
-    /,
-    *,
-    folder: Path | None = None,
-    save_options: SaveOptions = NO_RESULT_FILE,
+    result: Path, /, *, folder: Path | None = None, save_options: SaveOptions = NO_RESULT_FILE
 ) -> None:
     """Repeat the calibration of a result from the same files, and compare both results.
 

@@ -83,10 +83,7 @@ def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike, covariance: Array | N
 
 
 def fit_drift(
-    time: npt.ArrayLike,
-    values: npt.ArrayLike,
-    u: npt.ArrayLike,
-    covariance: Array | None = None,
+    time: npt.ArrayLike, values: npt.ArrayLike, u: npt.ArrayLike, covariance: Array | None = None
 ) -> Drift | None:
     """Fit a straight line by weighted least squares.
 

@@ -323,10 +323,9 @@ def _compare_laboratories(
         dofs = [first_dof for i in indices if (first_dof := records[i].dof) is not None]
         weights_by_laboratory[name] = weights / weights.sum(), min(dofs, default=None)
     pairs = []
-    for (first, (first_weights, first_dof)), (
-        second,
-        (second_weights, second_dof),
-    ) in combinations(weights_by_laboratory.items(), 2):
+    for (first, (first_weights, first_dof)), (second, (second_weights, second_dof)) in combinations(
+        weights_by_laboratory.items(), 2
+    ):
         estimates = [
             (float(weights @ values), float(np.sqrt(weights @ full_covariance @ weights)), dof)
             for weights, dof in ((first_weights, first_dof), (second_weights, second_dof))

@@ -91,10 +91,7 @@ def acceptance_limits(
 
     If the guard bands overlap, the lower limit is above the upper limit, and no estimate passes.
     """
-    return (
-        None if low is None else low + guard_band,
-        None if high is None else high - guard_band,
-    )
+    return (None if low is None else low + guard_band, None if high is None else high - guard_band)
 
 
 def decide(

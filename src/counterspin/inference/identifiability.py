@@ -95,10 +95,7 @@ class Assessment:
 
 
 def assess(
-    solution: Solution,
-    symbols: Sequence[str],
-    *,
-    nominal: npt.ArrayLike | None = None,
+    solution: Solution, symbols: Sequence[str], *, nominal: npt.ArrayLike | None = None
 ) -> Assessment:
     """Decide which unknowns are determined and name the sets that are confounded.
 
@@ -320,10 +317,7 @@ class _Information:
 
 
 def _determined_combinations(
-    covariance_root: Array,
-    limits: Array,
-    undetermined: Sequence[int],
-    candidates: Sequence[int],
+    covariance_root: Array, limits: Array, undetermined: Sequence[int], candidates: Sequence[int]
 ) -> list[Array]:
     """Return the weights of combinations that are determined although their terms are not.
 

@@ -20,12 +20,7 @@ from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 from counterspin.ingest.arm_table import DIRECTIONS, HORIZONTAL, ArmTable, parse_direction
 from counterspin.ingest.contents import FileColumn, FileContents
-from counterspin.ingest.questions import (
-    SENSES,
-    FileQuestion,
-    make_site_questions,
-    validate_answers,
-)
+from counterspin.ingest.questions import SENSES, FileQuestion, make_site_questions, validate_answers
 from counterspin.ingest.readings import (
     WORD_ROLES,
     OutputEstimate,
@@ -317,10 +312,7 @@ def _make_radius_questions(table: ArmTable) -> Iterator[FileQuestion]:
 
 
 def _estimate_output(
-    table: ArmTable,
-    column: FileColumn,
-    axes: Mapping[str, str | None],
-    answers: Mapping[str, str],
+    table: ArmTable, column: FileColumn, axes: Mapping[str, str | None], answers: Mapping[str, str]
 ) -> OutputEstimate:
     """Estimate sensitivity and zero of an output from rates and readings.
 

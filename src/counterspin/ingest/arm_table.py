@@ -14,15 +14,8 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.ingest.contents import FileColumn, FileContents
-from counterspin.ingest.questions import (
-    FileQuestion,
-)
-from counterspin.ingest.readings import (
-    WORD_ROLES,
-    assign_roles,
-    columns_of_role,
-    guess_common_role,
-)
+from counterspin.ingest.questions import FileQuestion
+from counterspin.ingest.readings import WORD_ROLES, assign_roles, columns_of_role, guess_common_role
 from counterspin.readings.cells import SENSE_WORDS, mounting_name
 from counterspin.records.unit_notation import unit_in_name
 from counterspin.units import STANDARD_GRAVITY, is_convertible, unit_factor

@@ -166,11 +166,7 @@ def read_contents(
 
 
 def _read_contents(
-    path: Path,
-    sheet: str | None,
-    sheets: tuple[str, ...],
-    sensor: str | None,
-    group: str | None,
+    path: Path, sheet: str | None, sheets: tuple[str, ...], sensor: str | None, group: str | None
 ) -> FileContents:
     with open_columns(path, Dialect(sheet=sheet, group=group)) as file:
         footer = file.footer

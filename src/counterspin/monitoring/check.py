@@ -34,12 +34,7 @@ from counterspin.records.memory import MemoryTable, make_memory_table
 from counterspin.threads import single_blas_thread
 
 
-def check(
-    record: object,
-    campaign: Campaign | Path | str,
-    *,
-    run: str | None = None,
-) -> CheckedRun:
+def check(record: object, campaign: Campaign | Path | str, *, run: str | None = None) -> CheckedRun:
     """Check the record of a run: clock, angle, rate, residuals and expected uncertainty.
 
     Parameters

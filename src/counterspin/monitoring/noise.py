@@ -17,10 +17,7 @@ from counterspin.campaign.field_types import parse_exact
 from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES
 from counterspin.campaign.static_noise import static_signals
 from counterspin.errors import CampaignError, RecordError, UsageError, error_code
-from counterspin.inference.noise.components import (
-    BIAS_COMPONENTS_BY_KEY,
-    component_keys,
-)
+from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY, component_keys
 from counterspin.inference.noise.spectrum import SpectralLine, allan_values, spectrum
 from counterspin.inference.noise.static_noise import (
     Band,

@@ -167,8 +167,5 @@ def second_stage_columns(
         raise ValueError(f"ripple must be 'amplitude' or 'ratio', not {ripple!r}")
     power = 1 if ripple == "amplitude" else 2
     return np.column_stack(
-        [
-            radius**2 * rates**4 / (2.0 * gravity),
-            -3.0 / 4.0 * scale_factor * radius * rates**power,
-        ]
+        [radius**2 * rates**4 / (2.0 * gravity), -3.0 / 4.0 * scale_factor * radius * rates**power]
     )

@@ -14,13 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from counterspin.arrays import (
-    Array,
-    median,
-    qr_blocks,
-    triangular_factor,
-    triangular_root,
-)
+from counterspin.arrays import Array, median, qr_blocks, triangular_factor, triangular_root
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.physics.angle_error import (

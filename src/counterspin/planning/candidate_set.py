@@ -382,10 +382,7 @@ class _Relaxation:
             vertex_index = int(np.argmax(intercepts))
             if intercepts[vertex_index] <= shadow_price + _RELATIVE_TOLERANCE * hull_gains[
                 upper_index
-            ] or vertex_index in (
-                lower_index,
-                upper_index,
-            ):
+            ] or vertex_index in (lower_index, upper_index):
                 break
             lower_index, upper_index = (
                 (vertex_index, upper_index)

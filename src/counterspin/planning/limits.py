@@ -78,10 +78,7 @@ def _candidate_limits(search: Search, design: Design) -> Iterator[_Limit]:
     )
     min_rates, max_runs = limits.min_rates, limits.max_runs
     yield _Limit(
-        "fewest_rates",
-        f"at least {min_rates} rates",
-        min_rates > 1,
-        {"min_rates": min_rates - 1},
+        "fewest_rates", f"at least {min_rates} rates", min_rates > 1, {"min_rates": min_rates - 1}
     )
     changes = {"max_runs": math.ceil(max_runs * increase)}
     yield _Limit("runs", f"at most {max_runs} runs", len(design.types) >= max_runs, changes)

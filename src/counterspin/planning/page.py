@@ -202,12 +202,7 @@ def _accelerometer_blocks(
         if not coefficient.estimated:
             quiet_rows.add(index)
     yield Table(
-        (
-            Column("Coefficient"),
-            Column("u"),
-            Column("u (prior)"),
-            Column("Sources", wraps=True),
-        ),
+        (Column("Coefficient"), Column("u"), Column("u (prior)"), Column("Sources", wraps=True)),
         tuple(rows),
         frozenset(quiet_rows),
     )
@@ -341,7 +336,7 @@ def _fault_blocks(
     yield Paragraph(
         f"{percent} % of the information on K_II comes from the second harmonic of the K_II "
         "term. Encoder eccentricity and imbalance can imitate this harmonic. The remaining "
-        "information comes from the mean of a_I^2.",
+        "information comes from the mean of a_I^2."
     )
 
 
@@ -386,11 +381,7 @@ def _comparison_blocks(result: PlanResult) -> Iterator[Block]:
                 )
             )
     yield Table(
-        (
-            Column("Plan", wraps=True),
-            Column("Std. uncertainty"),
-            Column("Ratio", "right"),
-        ),
+        (Column("Plan", wraps=True), Column("Std. uncertainty"), Column("Ratio", "right")),
         tuple(rows),
     )
     time_note = " Unless stated otherwise, all plans take the same time." if result.runs else ""

@@ -113,11 +113,7 @@ class PlannedCampaign:
 
 
 @single_blas_thread()
-def plan(
-    where: Mapping[str, Any] | Path | str,
-    *,
-    file: Path | None = None,
-) -> PlannedCampaign:
+def plan(where: Mapping[str, Any] | Path | str, *, file: Path | None = None) -> PlannedCampaign:
     """Find the best campaign for a plan's goal within its limits.
 
     Parameters
@@ -209,7 +205,7 @@ def _round_to_targets(search: Search, design: Design) -> tuple[Design, Forecast]
 _COMMENTS: Final = {
     "simulation": (
         "The following section is only for `counterspin simulate`. A calibration ignores it."
-    ),
+    )
 }
 
 

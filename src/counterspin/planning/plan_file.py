@@ -294,10 +294,7 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
 
 
 def _resolve_limits(
-    settings: LimitsSettings,
-    attitudes: Iterable[str],
-    campaign: Campaign,
-    problems: Problems,
+    settings: LimitsSettings, attitudes: Iterable[str], campaign: Campaign, problems: Problems
 ) -> Limits | None:
     """Return the limits, or None after reporting their contradictions."""
     error_count = len(problems.lines)

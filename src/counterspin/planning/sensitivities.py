@@ -11,11 +11,7 @@ from counterspin.arrays import Array, triangular_factor
 from counterspin.frozen import frozen
 from counterspin.inference.joint.design_blocks import DesignBlock, build_design_blocks
 from counterspin.inference.joint.fit import JointFit, solve_blocks
-from counterspin.inference.joint.unknowns import (
-    Considered,
-    Observation,
-    Unknowns,
-)
+from counterspin.inference.joint.unknowns import Considered, Observation, Unknowns
 from counterspin.inference.least_squares import Block
 from counterspin.inference.priors import prior_correlation, whiten_priors
 from counterspin.readings.linear import LinearReadings

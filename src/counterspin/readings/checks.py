@@ -10,11 +10,7 @@ import numpy as np
 
 from counterspin.arrays import median
 from counterspin.calibration.accelerometer_view import AccelerometerView
-from counterspin.calibration.findings import (
-    CONTRADICTION_SIGMAS,
-    lack_of_fit_finding,
-    two_sided_z,
-)
+from counterspin.calibration.findings import CONTRADICTION_SIGMAS, lack_of_fit_finding, two_sided_z
 from counterspin.calibration.outcome import check_outlier_share, summarize_group_residuals
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
@@ -300,10 +296,9 @@ def _pattern_finding(
 
 def pattern_clause(alternative: Alternative) -> str:
     """Return the predicate of a sentence on residuals that have a pattern."""
-    basis = {
-        "order": "the order of the readings",
-        "angle": "the head angle",
-    }.get(alternative.symbol.rpartition(" ")[2], "the time of reading")
+    basis = {"order": "the order of the readings", "angle": "the head angle"}.get(
+        alternative.symbol.rpartition(" ")[2], "the time of reading"
+    )
     return {
         WAVE: (
             f"follow {alternative.symbol}, where phi is the head angle measured from the "

@@ -120,10 +120,7 @@ def _read_file(
 
 @contextmanager
 def open_record(
-    path: Path | MemoryTable,
-    columns: RecordColumns,
-    rate: float,
-    pulses: np.ndarray | None = None,
+    path: Path | MemoryTable, columns: RecordColumns, rate: float, pulses: np.ndarray | None = None
 ) -> Iterator[tuple[ColumnFile | RunFile, RecordColumns, list[ColumnFile]]]:
     """Open a record; yield the file or run file, its resolved columns, and all files.
 

@@ -22,12 +22,7 @@ from counterspin.records.column_file import (
 )
 from counterspin.records.dialect import AUTODETECT, Dialect
 from counterspin.records.header_footer import count_footer_lines
-from counterspin.records.layout import (
-    EMPTY_CELL_TEXTS,
-    HEAD_LINES,
-    TableFormat,
-    find_rows,
-)
+from counterspin.records.layout import EMPTY_CELL_TEXTS, HEAD_LINES, TableFormat, find_rows
 
 if TYPE_CHECKING:
     import polars as pl

@@ -235,10 +235,7 @@ def _quantise(values: Sequence[float | None], is_logarithmic: bool) -> dict[str,
     """Return an array quantised to integers, which takes a third of the characters."""
     finite_values = [value for value in values if value is not None and math.isfinite(value)]
     if is_logarithmic:
-        return {
-            "step": 1,
-            "values": [_round_finite(value, _round_significant) for value in values],
-        }
+        return {"step": 1, "values": [_round_finite(value, _round_significant) for value in values]}
     value_range = max(finite_values, default=0.0) - min(finite_values, default=0.0)
     value_range = value_range or max(map(abs, finite_values), default=0.0) or 1.0
     step = 10.0 ** math.floor(math.log10(value_range / _MIN_QUANTISATION_STEPS))

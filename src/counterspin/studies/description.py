@@ -46,11 +46,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.series import CLOCK
 from counterspin.inference.joint.unknowns import unit_of
 from counterspin.physics.terms import ACCELEROMETER_TERMS, INPUTS, SHARED_TERMS, term
-from counterspin.simulation.simulable import (
-    check_size,
-    reading_problems,
-    simulation_problems,
-)
+from counterspin.simulation.simulable import check_size, reading_problems, simulation_problems
 from counterspin.studies.draws import (
     NOISE_LEVEL_UNITS,
     OTHER_QUANTITY_UNITS,
@@ -452,11 +448,7 @@ def _parse_varied_quantities(
 
 
 def _resolve_names(
-    key: str,
-    path: KeyPath,
-    campaign: Campaign,
-    recorders: Mapping[str, str],
-    problems: Problems,
+    key: str, path: KeyPath, campaign: Campaign, recorders: Mapping[str, str], problems: Problems
 ) -> list[tuple[str, str]]:
     """Return owner and symbol of each quantity with a name."""
     owner, _, symbol_name = key.partition(".")

@@ -444,11 +444,7 @@ class StudyTruth:
                 return quantity.value_range
         spindle = self.spindles[run]
         ratios, phases = self._first_harmonics()
-        value = {
-            DRIFT: spindle.drift,
-            RIPPLE_RATIO: ratios[run],
-            RIPPLE_PHASE: phases[run],
-        }[symbol]
+        value = {DRIFT: spindle.drift, RIPPLE_RATIO: ratios[run], RIPPLE_PHASE: phases[run]}[symbol]
         return value, value
 
 

@@ -435,9 +435,7 @@ class TwoStageEngine:
             dof = variance**2 / _sum_over_runs(contributions**2, 1.0 / self.dof[:, None])
         u = np.sqrt(variance)
         return TrialResults(
-            estimate,
-            np.broadcast_to(u, estimate.shape),
-            np.broadcast_to(dof, estimate.shape),
+            estimate, np.broadcast_to(u, estimate.shape), np.broadcast_to(dof, estimate.shape)
         )
 
 

@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from counterspin.calibration.findings import (
-    CONTRADICTION_SIGMAS,
-    lack_of_fit_finding,
-    two_sided_z,
-)
+from counterspin.calibration.findings import CONTRADICTION_SIGMAS, lack_of_fit_finding, two_sided_z
 from counterspin.calibration.outcome import summarize_group_residuals
 from counterspin.calibration.result_parts import Finding
 from counterspin.inference.diagnostics import SIGNIFICANCE

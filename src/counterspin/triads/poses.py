@@ -257,11 +257,7 @@ class SolvedPoses:
 
     @classmethod
     def solve_directions(
-        cls,
-        poses: TriadPoses,
-        unknowns: tuple[Unknown, ...],
-        values: Array,
-        effective: Array,
+        cls, poses: TriadPoses, unknowns: tuple[Unknown, ...], values: Array, effective: Array
     ) -> Self:
         """Return the poses with the directions that fit their indications best."""
         weight = np.ones((poses.size, 3)) if poses.u is None else 1.0 / poses.u

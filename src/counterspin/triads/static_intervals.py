@@ -211,8 +211,7 @@ def _sampling_step(time: Array, rest: float) -> float:
     steps = np.diff(time)
     if (steps < 0.0).any():
         raise RecordError(
-            f"the time decreases after {time[np.argmax(steps < 0.0)]:.6g} s.",
-            code="time-backwards",
+            f"the time decreases after {time[np.argmax(steps < 0.0)]:.6g} s.", code="time-backwards"
         )
     if not steps.any():
         raise RecordError("all rows have the same time.", code="no-rows")

@@ -125,8 +125,7 @@ def _summary_paragraphs(dossier: Dossier) -> Iterator[Block]:
         )
     else:
         yield Paragraph(
-            f"{count_text}, but the installed files differ from the delivered files.",
-            "warning",
+            f"{count_text}, but the installed files differ from the delivered files.", "warning"
         )
     installation = dossier.installation
     if installation.altered or installation.missing:

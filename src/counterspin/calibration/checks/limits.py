@@ -10,17 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.result_parts import (
-    Coefficient,
-    Finding,
-    Knowledge,
-)
+from counterspin.calibration.result_parts import Coefficient, Finding, Knowledge
 from counterspin.physics.grades import GRADES
-from counterspin.physics.terms import (
-    ACCELEROMETER_TERMS,
-    is_term,
-    term,
-)
+from counterspin.physics.terms import ACCELEROMETER_TERMS, is_term, term
 from counterspin.reports.numbers import find_display_unit, format_estimate, format_number
 
 #: Excess over the credible limit, in standard uncertainties, above which a finding is reported.

@@ -137,10 +137,7 @@ class PriorExplanation:
             "uncertainties of the difference. Check the stated value."
         )
         return FindingText(
-            code="prior-conflict",
-            subject=symbol,
-            text=text,
-            name=f"{symbol} (common to all runs)",
+            code="prior-conflict", subject=symbol, text=text, name=f"{symbol} (common to all runs)"
         )
 
     def _describe_input(self) -> FindingText:

@@ -52,9 +52,7 @@ from counterspin.calibration.outcome import (
 )
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.campaign.description import Campaign
-from counterspin.inference.diagnostics import (
-    normal_equivalent,
-)
+from counterspin.inference.diagnostics import normal_equivalent
 from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.alternatives import (
     Alternative,

@@ -357,11 +357,7 @@ def _correlation_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
         return
     yield Paragraph("Correlations with magnitude above 0.9:")
     yield Table(
-        (
-            Column("Estimate", wraps=True),
-            Column("and", wraps=True),
-            Column("Correlation", "right"),
-        ),
+        (Column("Estimate", wraps=True), Column("and", wraps=True), Column("Correlation", "right")),
         tuple(
             (source_label(second_term), source_label(first_term), _format_correlation(r))
             for first_term, second_term, r in pairs

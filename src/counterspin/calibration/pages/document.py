@@ -430,10 +430,7 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
     blocks: list[Block] = [Table(_BATCH_COLUMNS, rows)] if rows else []
     blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
     blocks += [
-        Paragraph(
-            f"{folder}: the records contradict the result. Do not use it.",
-            "warning",
-        )
+        Paragraph(f"{folder}: the records contradict the result. Do not use it.", "warning")
         for folder in batch.contradicted
     ]
     blocks += [

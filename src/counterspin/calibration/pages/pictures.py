@@ -7,10 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin.calibration.pages.budget import evaluation_type
-from counterspin.calibration.pages.uncertainty import (
-    source_label,
-    split_small_lines,
-)
+from counterspin.calibration.pages.uncertainty import source_label, split_small_lines
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries

@@ -90,10 +90,7 @@ def verdict_blocks(result: Result) -> Iterator[Block]:
     """Yield state and findings of each accelerometer of a judged result."""
     for name, accelerometer in result.accelerometers.items():
         assert accelerometer.state is not None
-        yield Paragraph(
-            verdict_sentence(name, accelerometer),
-            _STATE_STYLES[accelerometer.state],
-        )
+        yield Paragraph(verdict_sentence(name, accelerometer), _STATE_STYLES[accelerometer.state])
         # The sentence contains the first finding.
         for finding in accelerometer.findings[1:]:
             yield Paragraph(f"Warning for {name}: {finding_text(finding)}", "warning")

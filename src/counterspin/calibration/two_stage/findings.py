@@ -18,9 +18,7 @@ from counterspin.calibration.findings import (
 from counterspin.calibration.model import is_requested
 from counterspin.calibration.result_parts import Coefficient, Finding, Residual
 from counterspin.campaign.description import Campaign
-from counterspin.inference.diagnostics import (
-    CHI_SQUARE_SIGNIFICANCE,
-)
+from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import ConfoundedTerms, format_combination
 from counterspin.inference.two_stage.second_stage import SecondStage

@@ -195,9 +195,7 @@ def add_encoder_terms(
     if not unknowns and not considered:
         return model
     return replace(
-        model,
-        unknowns=(*model.unknowns, *unknowns),
-        considered=(*model.considered, *considered),
+        model, unknowns=(*model.unknowns, *unknowns), considered=(*model.considered, *considered)
     )
 
 

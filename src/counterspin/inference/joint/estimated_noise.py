@@ -31,9 +31,7 @@ _WALK_INDEX: Final = COMPONENTS.index("random_walk")
 
 
 def estimate_noise_by_accelerometer(
-    design_blocks: Sequence[DesignBlock],
-    model: Unknowns,
-    requests: Mapping[str, Noise],
+    design_blocks: Sequence[DesignBlock], model: Unknowns, requests: Mapping[str, Noise]
 ) -> tuple[dict[str, Noise], dict[str, NoiseEstimate]]:
     """Return the noise of each accelerometer, given or estimated by restricted likelihood."""
     noise: dict[str, Noise] = {}

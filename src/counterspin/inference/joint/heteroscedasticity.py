@@ -193,10 +193,7 @@ def _varies_within_run(fit: JointFit, squares: Mapping[int, Array]) -> bool:
 
 
 def _fit_timestamp_noise(
-    fit: JointFit,
-    series: Sequence[ResidualSeries],
-    squares: Mapping[int, Array],
-    noise: Noise,
+    fit: JointFit, series: Sequence[ResidualSeries], squares: Mapping[int, Array], noise: Noise
 ) -> tuple[float, VarianceModel] | None:
     """Return the gain beyond the significance limit, and the timing noise; None: none.
 

@@ -197,8 +197,7 @@ def _estimate_rotation(series: ResidualSeries) -> tuple[float, float, float]:
     """Estimate changes of start angle, rate and drift from the phases of the revolutions."""
     spindle = series.trajectory.spindle
     quadrature = replace(
-        series.trajectory,
-        spindle=replace(spindle, start_angle=spindle.start_angle + math.pi / 2.0),
+        series.trajectory, spindle=replace(spindle, start_angle=spindle.start_angle + math.pi / 2.0)
     )
     output = series.error + series.reference()
     harmonics = np.column_stack([series.reference(), series.reference(quadrature)])

@@ -30,11 +30,7 @@ from counterspin.inference.noise.bias_instability import (
     integrated_cosines,
 )
 from counterspin.inference.noise.components import COMPONENTS
-from counterspin.inference.noise.model import (
-    SPECIFIC_FORCE,
-    Differences,
-    solve_banded_factor,
-)
+from counterspin.inference.noise.model import SPECIFIC_FORCE, Differences, solve_banded_factor
 
 if TYPE_CHECKING:
     from counterspin.inference.noise.even_sampling import EvenlySampledData, TransformedRecord

@@ -203,9 +203,7 @@ def split_segments(time: Array, values: Array) -> Segments:
             )
         segments.append((float(segment_times[0]), sample_index, segment_values))
     if not segments:
-        raise ValueError(
-            f"the record does not contain {_MIN_SAMPLES} successive samples without a gap"
-        )
+        raise ValueError(f"the record has no {_MIN_SAMPLES} successive samples without a gap")
     n_expected = sum(int(sample_index[-1]) + 1 for _, sample_index, _ in segments)
     n_recorded = sum(segment_values.size for _, _, segment_values in segments)
     recorded_fraction = n_recorded / n_expected
