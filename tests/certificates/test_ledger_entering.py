@@ -138,7 +138,9 @@ def test_interrupted_certificate_is_completed_on_later_day(
     run_killed("move_into_place", *arguments)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800086400")  # the day after
     assert run(*arguments) == 0
-    assert "but was then interrupted" in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert "but was then interrupted" in output
+    assert "the certificate of that entry (number 2)" in " ".join(output.split())
     entries = verify_ledger(ledger_folder / "ledger.jsonl").entries
     assert [entry.subject["file_sha256"] for entry in entries[1:]] == [
         digest(ledger_folder / "a.xml")

@@ -195,8 +195,8 @@ class Certificate:
         if earlier_entry is not None:
             self.notes.append(
                 f"An earlier command entered certificate {self.identifier} on "
-                f"{earlier_entry.when}, but was then interrupted. That entry ({path}) refers to "
-                f"{earlier_entry.when}."
+                f"{earlier_entry.when}, but was then interrupted. {path} is the certificate of "
+                f"that entry (number {earlier_entry.number})."
             )
 
 
