@@ -13,6 +13,7 @@ import urllib.error
 import urllib.parse
 import urllib.request
 import xml.etree.ElementTree as ET
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,7 +34,9 @@ def test_server_prints_link_listens_on_loopback_and_stops_on_signal(tmp_path, ho
     words = [sys.executable, "-m", "counterspin", "serve", str(tmp_path), "--no-browser"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     (beside := tmp_path / "temporary").mkdir()
-    with subprocess.Popen(words, **pipes, env=os.environ | {"TMPDIR": str(beside)}) as server:
+    server = subprocess.Popen(words, **pipes, env=os.environ | {"TMPDIR": str(beside)})
+    with server, ExitStack() as stack:
+        stack.callback(server.kill)
         assert "this machine only" in server.stdout.readline()
         link = re.search(r"http://127\.0\.0\.1:(\d+)/#token=(\S{32})", server.stdout.readline())
         port = int(link[1])

@@ -155,7 +155,7 @@ def test_errors_name_key(tmp_path, old, new, words):
         (
             TIME,
             "time = { column = 't', unit = 'iso' }",
-            "records.time: a simulated record has no missing values",
+            "records.time: simulated records contain numbers",
         ),
         (ANGLE, "angle = { column = 'a' }", "records.angle.unit: missing"),
         ('name = "slow"', 'name = "slow"\nrecords = { decimal = "." }', r'"slow", records.decimal'),

@@ -141,7 +141,7 @@ def test_in_memory_result_equals_result_from_files(tmp_path):
             "records.time states 100 Hz",
         ),
         (describe_pose_record("poses = 0\n"), "simulation.poses"),
-        (describe_pose_record().replace("all.csv", "all.log"), "write .csv or .parquet"),
+        (describe_pose_record().replace("all.csv", "all.log"), "must end in .csv or .parquet"),
     ],
 )
 def test_invalid_pose_record_raises(tmp_path, text, words):

@@ -287,13 +287,13 @@ def serve(
 
         def print_link(link: str) -> None:
             print_line(
-                "This link has already been used. Each link works only once. Link for another "
-                "browser or window:"
+                "This link has now been used. Each link works only once. Link for another browser "
+                "or window:"
             )
             print_line(f"  {link}")
 
         credentials = Credentials(listener.getsockname()[1], on_token_used=print_link)
-        print_line(f"The folder {folder} is served only to this machine. Ctrl-C stops the server.")
+        print_line(f"The folder {folder} is served to this machine only. Ctrl-C stops the server.")
         print_line(f"  {credentials.link}")
         if browser:
             browser_timer = threading.Timer(
