@@ -29,7 +29,7 @@ class Temperature(ResultPart):
 
 
 class Log(ResultFile):
-    DOCUMENT_TYPE: ClassVar[str] = "log"
+    KIND: ClassVar[str] = "log"
 
     rooms: dict[str, Temperature]
     series: list[float | None]

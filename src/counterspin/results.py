@@ -95,11 +95,11 @@ class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of what 
 class ResultFile(ResultPart):
     """The result of a command, as one JSON document.
 
-    A subclass adds the fields, in the order in which they are written. `DOCUMENT_TYPE` is its name
+    A subclass adds the fields, in the order in which they are written. `KIND` is its name
     in messages. Within a schema version, keys keep their names and meanings; new keys may be added.
     """
 
-    DOCUMENT_TYPE: ClassVar[str] = "result"
+    KIND: ClassVar[str] = "result"
 
     schema_version: Annotated[int, Field(alias="schema")] = 1  #: Version of this format.
     #: SHA-256 checksum of the rest of the file, verified whenever the file is read.
@@ -157,7 +157,7 @@ class ResultFile(ResultPart):
         seal = f'"{_compute_seal(text)}"' if self._has_seal else "null"
         return re.sub(r'"seal": [^\n]*,', f'"seal": {seal},', text, count=1)
 
-    def copy_with_seal(self) -> Self:
+    def with_seal(self) -> Self:
         """Return a copy with the seal of its file, to be included in another result."""
         return self.model_copy(update={"seal": json.loads(self.to_json())["seal"]})
 
@@ -168,10 +168,10 @@ class ResultFile(ResultPart):
             are.
         """
         write = load_name(f"{_OUTPUT_MODULE}:write_text")
-        write(Path(path), self.to_json(), self.file_type, overwrite=overwrite)
+        write(Path(path), self.to_json(), self.file_kind, overwrite=overwrite)
 
     @classmethod
-    def file_type(cls) -> FileType:
+    def file_kind(cls) -> FileType:
         """Return the type of the files of this class, which are recognised by required keys."""
         fields = cls.model_fields.items()
         required_keys = {field.alias or name for name, field in fields if field.is_required()}
@@ -184,15 +184,15 @@ class ResultFile(ResultPart):
             return isinstance(document, dict) and required_keys <= set(document)
 
         file_type: FileType = load_name(f"{_OUTPUT_MODULE}:FileType")(
-            f"the file of a {cls.DOCUMENT_TYPE}", recognises
+            f"the file of a {cls.KIND}", recognises
         )
         return file_type
 
     @classmethod
     def read(cls, path: Path | str) -> Self:
         """Read a file that this or an earlier version of counterspin wrote."""
-        path = to_path(path, f"the file of a {cls.DOCUMENT_TYPE}")
-        advice = f"give the JSON file of a {cls.DOCUMENT_TYPE}"
+        path = to_path(path, f"the file of a {cls.KIND}")
+        advice = f"give the JSON file of a {cls.KIND}"
         content = b""
         try:
             content = read_file(path)
@@ -209,7 +209,7 @@ class ResultFile(ResultPart):
             if content.lstrip()[:1] not in (b"{", b"["):
                 reason = f"this is {detect_file_type(content) or 'not JSON'}"
             raise DamagedFileError(
-                f"{path}: not a {cls.DOCUMENT_TYPE} file, or damaged ({reason}); {advice}, or "
+                f"{path}: not a {cls.KIND} file, or damaged ({reason}); {advice}, or "
                 "write the file again"
             ) from error
         schema = document.get("schema") if isinstance(document, dict) else None
@@ -225,7 +225,7 @@ class ResultFile(ResultPart):
             first_error = error.errors()[0]
             key_path = "".join(f"{key}: " for key in first_error["loc"])
             raise RecordError(
-                f"{path}: not a {cls.DOCUMENT_TYPE} file: {key_path}{first_error['msg']}; {advice}",
+                f"{path}: not a {cls.KIND} file: {key_path}{first_error['msg']}; {advice}",
                 code="wrong-document",
             ) from error
         seal = document.get("seal")
@@ -239,7 +239,7 @@ class ResultFile(ResultPart):
             *result.validation_errors(),
             *_find_implausible_numbers(result.model_dump(by_alias=True), ""),
         ):
-            raise DamagedFileError(f"{path}: a damaged {cls.DOCUMENT_TYPE}: {problem}")
+            raise DamagedFileError(f"{path}: a damaged {cls.KIND}: {problem}")
         result._content, result._has_seal = content, seal is not None
         return result
 
@@ -343,8 +343,8 @@ class ReportableResult(ResultFile):
     BLOCKS: ClassVar[str]
     #: The same for the blocks of the report; None: those of the screen.
     REPORT_BLOCKS: ClassVar[str | None] = None
-    #: Document type in the mark of a report file; None: derived from `DOCUMENT_TYPE`.
-    REPORT_TYPE: ClassVar[str | None] = None
+    #: Document type in the mark of a report file; None: derived from `KIND`.
+    REPORT_KIND: ClassVar[str | None] = None
 
     def blocks(self) -> list[Block]:
         """Return the blocks for the screen, including pictures."""
@@ -359,9 +359,9 @@ class ReportableResult(ResultFile):
         return f"CS-{hashlib.sha256(self.content).hexdigest()[:12]}"
 
     @classmethod
-    def report_type(cls) -> str:
+    def report_kind(cls) -> str:
         """Return the document type in the mark of a report file, such as "a history"."""
-        return cls.REPORT_TYPE or f"a {cls.DOCUMENT_TYPE}"
+        return cls.REPORT_KIND or f"a {cls.KIND}"
 
     def publication(self, identifier: str | None = None) -> Any:
         """Return the report, a `counterspin.reports.publication.Publication`."""

@@ -65,7 +65,7 @@ class AppliedAcceleration(ReportableResult):
 
     BLOCKS: ClassVar[str] = "counterspin.acceleration_standard.page:applied_blocks"
     REPORT_BLOCKS: ClassVar[str | None] = "counterspin.acceleration_standard.page:report_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "budget of applied acceleration"
+    KIND: ClassVar[str] = "budget of applied acceleration"
 
     title: str  #: Title of the campaign.
     version: str  #: Version of counterspin.

@@ -122,7 +122,7 @@ def _result_entry(app: AppState, path: Path) -> ResultEntry | None:
 
     name = app.folder.name(path)
     try:
-        if path.stat().st_size > MAX_DOCUMENT_BYTES or not Result.file_type().recognises(path):
+        if path.stat().st_size > MAX_DOCUMENT_BYTES or not Result.file_kind().recognises(path):
             return None
         result = judge_result(Result.read(path))
     except OSError:

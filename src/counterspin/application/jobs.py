@@ -281,7 +281,7 @@ def run_calibration(
         from counterspin.calibration.result import Result
         from counterspin.output import check_writable
 
-        check_writable(output, Result.file_type, overwrite=True)
+        check_writable(output, Result.file_kind, overwrite=True)
         result = calibrate(campaign, method=method, accept_misfit=accept_misfit, progress=progress)
         result.write(output, overwrite=True)
 

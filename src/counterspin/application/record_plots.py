@@ -382,7 +382,7 @@ def run_study(connection: Connection, campaign: Path, output: Path, trials: int)
         from counterspin.studies.result import StudyResult
         from counterspin.studies.study import study
 
-        check_writable(output, StudyResult.file_type, overwrite=True)
+        check_writable(output, StudyResult.file_kind, overwrite=True)
         study(campaign, trials=trials, progress=progress).write(output, overwrite=True)
 
     report_progress(connection, run_and_write)

@@ -29,7 +29,7 @@ class BatchResult(ReportableResult):
     """Results and errors of campaigns, by folder as named."""
 
     BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:batch_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "batch"
+    KIND: ClassVar[str] = "batch"
 
     campaigns: dict[str, Result | FailedCampaign]
 
@@ -39,7 +39,7 @@ class BatchResult(ReportableResult):
     ) -> dict[str, Result | FailedCampaign]:
         """Seal each result, so that it equals a separately written file."""
         return {
-            folder: outcome.copy_with_seal() if isinstance(outcome, Result) else outcome
+            folder: outcome.with_seal() if isinstance(outcome, Result) else outcome
             for folder, outcome in campaigns.items()
         }
 

@@ -67,7 +67,7 @@ class Result(ReportableResult):
 
     BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:notebook_blocks"
     REPORT_BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:full_report_blocks"
-    REPORT_TYPE: ClassVar[str] = "a calibration report"
+    REPORT_KIND: ClassVar[str] = "a calibration report"
 
     schema_version: Annotated[int, Field(alias="schema")] = 2
 

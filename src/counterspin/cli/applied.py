@@ -118,7 +118,7 @@ def applied(
 
     if report is not None:
         check_report(report)
-        document_type = AppliedAcceleration.report_type()
+        document_type = AppliedAcceleration.report_kind()
         check_writable(
             report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
         )
@@ -127,7 +127,7 @@ def applied(
         check_writable(
             figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
-    save_options.check_writable(AppliedAcceleration.file_type)
+    save_options.check_writable(AppliedAcceleration.file_kind)
     certificate_options.check()
     result = compute_budget(
         directory,

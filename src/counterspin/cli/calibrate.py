@@ -233,7 +233,7 @@ def calibrate(
 def _result_file_type() -> FileType:
     from counterspin.calibration.result import Result
 
-    return Result.file_type()
+    return Result.file_kind()
 
 
 def calibrate_several(
@@ -249,7 +249,7 @@ def calibrate_several(
     from counterspin.reports.text import make_console, show_work_progress
     from counterspin.workers import Workers
 
-    save_options.check_writable(BatchResult.file_type)
+    save_options.check_writable(BatchResult.file_kind)
     with show_work_progress("Campaigns") as advance:
         batch = calibrate_many(
             directories,

@@ -72,7 +72,7 @@ def operating(
 
     if report is not None:
         check_report(report)
-        document_type = OperatingTests.report_type()
+        document_type = OperatingTests.report_kind()
         check_writable(
             report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
         )
@@ -81,7 +81,7 @@ def operating(
         check_writable(
             figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
-    save_options.check_writable(OperatingTests.file_type)
+    save_options.check_writable(OperatingTests.file_kind)
     result = run_operating_tests(
         table,
         output=output,

@@ -93,7 +93,7 @@ def plan(
         print_output(f"Wrote {example}. Edit this file, or run the example plan:")
         print_output(f"  counterspin plan {quote_path(example_options.init)}")
         return
-    save_options.check_writable(PlanResult.file_type)
+    save_options.check_writable(PlanResult.file_kind)
     if output is not None:
         require_no_campaign(output)
     if check is not None:

@@ -128,7 +128,7 @@ def reproduce(*, save_options: SaveOptions = NO_RESULT_FILE) -> None:
     from counterspin.reproduction.comparison import reproduce as run_reproduction
     from counterspin.reproduction.plan import Reproduction
 
-    save_options.check_writable(Reproduction.file_type)
+    save_options.check_writable(Reproduction.file_kind)
     reproduction = run_reproduction()
     with save_options.saving(reproduction):
         make_console().print(reproduction)

@@ -82,7 +82,7 @@ def check(
     from counterspin.monitoring.result import CheckedRun
     from counterspin.reports.text import make_console
 
-    save_options.check_writable(CheckedRun.file_type)
+    save_options.check_writable(CheckedRun.file_kind)
     checked_run = run_check(record, campaign, run=run)
     with save_options.saving(checked_run):
         make_console().print(checked_run)
@@ -236,7 +236,7 @@ def noise(
 
     if report is not None:
         check_report(report)
-        document_type = NoiseResult.report_type()
+        document_type = NoiseResult.report_kind()
         check_writable(
             report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
         )
@@ -245,7 +245,7 @@ def noise(
         check_writable(
             plot, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
-    save_options.check_writable(NoiseResult.file_type)
+    save_options.check_writable(NoiseResult.file_kind)
     result = analyse_noise(
         record,
         campaign=campaign,

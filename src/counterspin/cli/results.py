@@ -76,7 +76,7 @@ def report(
     if output is not None:
         require_report_format(output)
         check_writable(
-            output, lambda: marked_file_type(result_class.report_type()), overwrite=overwrite
+            output, lambda: marked_file_type(result_class.report_kind()), overwrite=overwrite
         )
     if is_file:
         result = result_class.read(source)
@@ -97,11 +97,11 @@ def _detect_result_class(path: Path) -> type[ReportableResult]:
     """Return the class of a result file; `Result` if unknown, for its error message."""
     from counterspin.calibration.result import Result
 
-    if Result.file_type().recognises(path):
+    if Result.file_kind().recognises(path):
         return Result
     for module, name in _RESULT_CLASSES:
         result_class: type[ReportableResult] = getattr(import_module(f"counterspin.{module}"), name)
-        if result_class.file_type().recognises(path):
+        if result_class.file_kind().recognises(path):
             return result_class
     return Result
 
@@ -144,7 +144,7 @@ def history(
         check_writable(
             figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
         )
-    save_options.check_writable(History.file_type)
+    save_options.check_writable(History.file_kind)
     result = compute_history(paths, term=term, serial=serial, reliability=reliability)
     with save_options.saving(result):
         if figure is not None:
@@ -182,10 +182,10 @@ def compare(
         require_report_format(report)
         check_writable(
             report,
-            lambda: marked_file_type(ResultComparison.report_type()),
+            lambda: marked_file_type(ResultComparison.report_kind()),
             overwrite=save_options.overwrite,
         )
-    save_options.check_writable(ResultComparison.file_type)
+    save_options.check_writable(ResultComparison.file_kind)
     comparison = compare_results(*results)
     with save_options.saving(comparison):
         if report is not None:
@@ -227,12 +227,12 @@ def intercompare(
     if report is not None:
         require_report_format(report)
         check_writable(
-            report, lambda: marked_file_type(Intercomparison.report_type()), overwrite=overwrite
+            report, lambda: marked_file_type(Intercomparison.report_kind()), overwrite=overwrite
         )
     if figure is not None:
         check_figure(figure)
         check_writable(figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=overwrite)
-    save_options.check_writable(Intercomparison.file_type)
+    save_options.check_writable(Intercomparison.file_kind)
     symbols = None if coefficient is None else [s.strip() for s in coefficient.split(",")]
     intercomparison = compare_laboratories(*results, coefficients=symbols)
     with save_options.saving(intercomparison):
@@ -265,7 +265,7 @@ def rerun(
     from counterspin.comparisons.result import RepeatedCalibration
     from counterspin.reports.text import make_console, show_progress
 
-    save_options.check_writable(RepeatedCalibration.file_type)
+    save_options.check_writable(RepeatedCalibration.file_kind)
     with show_progress() as advance:
         repetition = repeat_calibration(result, folder, progress=advance)
     with save_options.saving(repetition):

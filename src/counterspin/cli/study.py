@@ -86,7 +86,7 @@ def study(
         raise CounterspinError(
             f"{option_name} requires the folder of the study (`output`)", code="wrong-usage"
         )
-    save_options.check_writable(StudyResult.file_type)
+    save_options.check_writable(StudyResult.file_kind)
     study_folder = output and StudyFolder(output, keep_trials, resume, save_options.overwrite)
     with show_work_progress("Trials") as advance:
         result = run_study(

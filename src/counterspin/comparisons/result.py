@@ -100,7 +100,7 @@ class ResultComparison(ReportableResult):
     """A comparison of results with a reference result."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:comparison_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "comparison"
+    KIND: ClassVar[str] = "comparison"
 
     gravity: float  #: Gravity of the first result, to which all g-units refer, m/s^2.
     results: list[ComparedResult]  #: Compared results, in the order given.
@@ -177,7 +177,7 @@ class RepeatedCalibration(ReportableResult):
     """A result and its repeated calibration."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.page:repeated_calibration_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "repeat of a result"
+    KIND: ClassVar[str] = "repeat of a result"
 
     result: str  #: File or title of the original result.
     same: bool  #: Whether all estimates, uncertainties and states agree within `limit`.
@@ -245,7 +245,7 @@ class Intercomparison(ReportableResult):
     """A comparison of laboratories that calibrated the same instrument."""
 
     BLOCKS: ClassVar[str] = "counterspin.comparisons.intercomparison_page:intercomparison_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "intercomparison"
+    KIND: ClassVar[str] = "intercomparison"
 
     gravity: float  #: Gravity on which all g-units are based, m/s^2, from the first result.
     significance: float  #: Significance level of the chi-square test.

@@ -179,7 +179,7 @@ class History(ReportableResult):
     """The history of all instruments."""
 
     BLOCKS: ClassVar[str] = "counterspin.histories.page:history_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "history"
+    KIND: ClassVar[str] = "history"
 
     #: Coefficient; for triads, ``offset``, ``sensitivity`` or ``angle`` (difference from 90 deg).
     term: str

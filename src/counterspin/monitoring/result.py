@@ -101,7 +101,7 @@ class WatchState(ReportableResult):
     """State of a campaign during recording."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:watch_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "watch"
+    KIND: ClassVar[str] = "watch"
 
     title: str  #: Title of the campaign.
     runs: list[RunState]  #: Runs in the order of the description.
@@ -124,7 +124,7 @@ class CheckedRun(ReportableResult):
     """A checked record."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:check_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "check"
+    KIND: ClassVar[str] = "check"
 
     run: RunState  #: State of the run when fitted alone.
     remarks: list[str]  #: Faults and remarks, as sentences; empty if there are none.
@@ -209,8 +209,8 @@ class NoiseResult(ReportableResult):
     """The noise of a static record."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:noise_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "noise"
-    REPORT_TYPE: ClassVar[str | None] = "a noise report"
+    KIND: ClassVar[str] = "noise"
+    REPORT_KIND: ClassVar[str | None] = "a noise report"
 
     record: str  #: Record file.
     checksum: str | None  #: SHA-256 of the file; None for a record in memory.

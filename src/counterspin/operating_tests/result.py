@@ -27,7 +27,7 @@ class OperatingTests(ReportableResult):
     """The operating tests of an accelerometer from one table."""
 
     BLOCKS: ClassVar[str] = "counterspin.operating_tests.page:operating_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "result of operating tests"
+    KIND: ClassVar[str] = "result of operating tests"
 
     file: str  #: Name of the file.
     sha256: str  #: SHA-256 of the file.

@@ -142,7 +142,7 @@ class PlanResult(ReportableResult):
     """
 
     BLOCKS: ClassVar[str] = "counterspin.planning.page:plan_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "plan's result"
+    KIND: ClassVar[str] = "plan's result"
 
     title: str
     gravity: float

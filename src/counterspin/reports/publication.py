@@ -100,15 +100,13 @@ def make_publication(result: ReportableResult, identifier: str | None = None) ->
     identifier: Identifier of the report; None: that of the result.
     """
     blocks = add_seal_warning(result, load_name(result.REPORT_BLOCKS or result.BLOCKS)(result))
-    title = next(
-        (block.text for block in blocks if isinstance(block, Heading)), result.DOCUMENT_TYPE
-    )
-    return Publication(result.report_type(), title, identifier or result.identifier, blocks)
+    title = next((block.text for block in blocks if isinstance(block, Heading)), result.KIND)
+    return Publication(result.report_kind(), title, identifier or result.identifier, blocks)
 
 
 def seal_warnings(result: ResultFile) -> list[Paragraph]:
     """Return the warning on a result whose file has no seal; empty for a sealed result."""
-    names = [] if result.sealed else [f"this {result.DOCUMENT_TYPE}"]
+    names = [] if result.sealed else [f"this {result.KIND}"]
     return [Paragraph(sentence, "warning") for sentence in unsealed_sentences(names)]
 
 

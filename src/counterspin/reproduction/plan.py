@@ -65,7 +65,7 @@ class Reproduction(ReportableResult):
     """The result of `reproduce`."""
 
     BLOCKS: ClassVar[str] = "counterspin.reproduction.page:reproduction_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "reproduction"
+    KIND: ClassVar[str] = "reproduction"
 
     inputs: dict[str, Any]  #: Data that the paper states, and data that it leaves open, with units.
     sections: tuple[PaperSection, ...]  #: The rows, grouped in the order of the paper.

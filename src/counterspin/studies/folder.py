@@ -66,7 +66,7 @@ class StudyFolder:
         make_folder(self.directory)
         check_writable(
             self.directory / _RESULT_FILE,
-            StudyResult.file_type,
+            StudyResult.file_kind,
             overwrite=self.overwrite or self.resume,
         )
         figure_paths = [

@@ -182,7 +182,7 @@ class StudyResult(ReportableResult):
 
     BLOCKS: ClassVar[str] = "counterspin.studies.page:study_blocks"
     REPORT_BLOCKS: ClassVar[str] = "counterspin.studies.page:report_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "study's result"
+    KIND: ClassVar[str] = "study's result"
 
     title: str  #: Title of the campaign.
     trials: int  #: Number of trials done.

@@ -51,7 +51,7 @@ class Dossier(ReportableResult):
 
     BLOCKS: ClassVar[str] = "counterspin.validation.page:summary_blocks"
     REPORT_BLOCKS: ClassVar[str] = "counterspin.validation.page:dossier_blocks"
-    DOCUMENT_TYPE: ClassVar[str] = "validation dossier"
+    KIND: ClassVar[str] = "validation dossier"
 
     passed: bool  #: Whether no case failed and no file of the installation is altered or missing.
     installation: Installation  #: Installed software.

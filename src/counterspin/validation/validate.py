@@ -251,8 +251,8 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     make_folder(folder)
     for name in DOSSIER_FILES:
         path = folder / name
-        report_type = partial(marked_file_type, Dossier.report_type())
-        file_type = Dossier.file_type if path.suffix == ".json" else report_type
+        report_type = partial(marked_file_type, Dossier.report_kind())
+        file_type = Dossier.file_kind if path.suffix == ".json" else report_type
         check_writable(path, file_type, overwrite=overwrite)
 
 
