@@ -3,6 +3,7 @@
 import ast
 import doctest
 import inspect
+import json
 import re
 import subprocess
 import sys
@@ -134,3 +135,36 @@ def test_invalid_polars_thread_count_raises(monkeypatch):
         cs.simulate(".")
     monkeypatch.setenv("POLARS_MAX_THREADS", "2")
     assert callable(cs.simulate)
+
+
+def public_names():
+    """Return the public members of each exported class and the parameters of each function."""
+    names = {}
+    for name in cs.__all__:
+        exported = getattr(cs, name)
+        if not inspect.isclass(exported):
+            is_function = inspect.isfunction(exported)
+            names[name] = list(inspect.signature(exported).parameters) if is_function else []
+            continue
+        bases = [base for base in exported.__mro__ if base.__module__.startswith("counterspin")]
+        members = {
+            member
+            for base in bases
+            for member in {*vars(base), *vars(base).get("__annotations__", {})}
+            if not member.startswith(("_", "model_"))
+        }
+        names[name] = sorted(members)
+    return names
+
+
+def test_public_names_are_kept():
+    """Programs of users depend on them: a name may be added to the file, but not removed."""
+    kept = json.loads((Path(__file__).parent / "frozen" / "public-names.json").read_text("utf-8"))
+    current = public_names()
+    missing = {
+        name: sorted(set(members) - set(current.get(name, [])))
+        for name, members in kept.items()
+        if not set(members) <= set(current.get(name, []))
+    }
+    assert missing == {}
+    assert current.keys() == kept.keys()
