@@ -396,15 +396,14 @@ class AccelerometersReader:
                 continue
             recorded_keys = [key for key in OBSERVABLES if key in table]
             if not self.has_turntable_records and (not recorded_keys or self.has_reading_records):
-                observables[name] = "specific_force"  # readings are all there is of it
+                observables[name] = "specific_force"  # the accelerometer has only readings
             elif (
                 self.has_turntable_records
                 and self.has_reading_records
                 and recorded_keys[1:] == ["specific_force"]
             ):
-                observables[name] = recorded_keys[
-                    0
-                ]  # the other one is of records on an arm or at rest
+                # The second column belongs to records on an arm or at rest.
+                observables[name] = recorded_keys[0]
             elif len(recorded_keys) == 1:
                 observables[name] = recorded_keys[0]
             else:

@@ -406,9 +406,7 @@ def _missing_conditions(
         if runs_with_record or reference is not None or not runs or not all(stated_flags):
             continue
         if term_symbol and key == "temperature":
-            temperatures = {
-                temperature for run in runs.values() for temperature in run.temperature or ()
-            }
+            temperatures = {value for run in runs.values() for value in run.temperature or ()}
             if len(temperatures) == 1:
                 yield (
                     ("centrifuge", "reference_temperature"),

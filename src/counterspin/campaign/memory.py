@@ -176,34 +176,32 @@ def attach_records(
     folder: Folder of the document's files.
     """
     runs = list(list_of(document, "runs"))
-    index_by_name = {
-        run.get("name"): index for index, run in enumerate(runs) if isinstance(run, Mapping)
-    }
+    indices = {run.get("name"): index for index, run in enumerate(runs) if isinstance(run, Mapping)}
     tables: dict[Path, MemoryTable] = {}
     for name, record in records.items():
         if name == STATIC_RECORD_KEY:
             tables |= _attach_static_record(document, record, folder)
             continue
-        if name not in index_by_name:
-            run_names = [run_name for run_name in index_by_name if isinstance(run_name, str)]
+        if name not in indices:
+            run_names = [run_name for run_name in indices if isinstance(run_name, str)]
             problems.add(
                 ("records",),
                 f'no run is named "{name}"' + suggest_name(name, run_names),
                 "unknown-run",
             )
             continue
-        run = dict(runs[index_by_name[name]])
+        run = dict(runs[indices[name]])
         if isinstance(record, Path | str):
             run["record"] = _relative_name(Path(record).absolute(), folder)
         else:
             used_names = [
-                other_run.get("record") for other_run in runs if isinstance(other_run, Mapping)
+                run_table.get("record") for run_table in runs if isinstance(run_table, Mapping)
             ]
             stated_name = run.get("record")
             if not (isinstance(stated_name, str) and stated_name.lower().endswith(tuple(WRITERS))):
                 run["record"] = unused_file_name(name, ".parquet", used_names)
             tables[folder / run["record"]] = make_memory_table(f"{name} in memory", record)
-        runs[index_by_name[name]] = run
+        runs[indices[name]] = run
     if runs:
         document["runs"] = runs
     return tables
@@ -307,15 +305,13 @@ class _RelocatedFiles:
         if "record" not in run:
             return run
         # An excluded run may lack a name.
-        name, relocated_run = str(run.get("name", "run")), dict(run)
-        relocated_run["record"] = self.target_name(run["record"], name)
+        name, new_run = str(run.get("name", "run")), dict(run)
+        new_run["record"] = self.target_name(run["record"], name)
         if "continued_in" in run:
-            relocated_run["continued_in"] = [
-                self.target_name(file, name) for file in run["continued_in"]
-            ]
+            new_run["continued_in"] = [self.target_name(file, name) for file in run["continued_in"]]
         if "pulses" in run:
-            relocated_run["pulses"] = self.target_name(run["pulses"], name)
-        return relocated_run
+            new_run["pulses"] = self.target_name(run["pulses"], name)
+        return new_run
 
 
 def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: bool) -> None:

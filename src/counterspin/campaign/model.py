@@ -80,9 +80,8 @@ class ErrorModel:
     assume: tuple[str, ...] = ()
     #: Full name of a term -> stated correlation of its prior with those of other terms.
     correlations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    positioning_error: Quantity | None = (
-        None  #: Angular error of a position at rest; None: not stated.
-    )
+    #: Angular error of a position at rest; None: not stated.
+    positioning_error: Quantity | None = None
     has_named_terms: bool = False  #: Whether the description names the requested terms.
 
     def assumes(self, symbol: str) -> bool:
@@ -149,10 +148,8 @@ class MeasurementSetup:
         symbols: list[str] = []
         for symbol, axis in (("delta_O", 1), ("delta_P", 2)):
             rest_readings = (reading for reading in self.readings if reading.motion == "static")
-            vertical_components = {
-                round(reading.axes.matrix[axis][2], 6) for reading in rest_readings
-            }
-            if len(vertical_components) > 1 and len(self.readings) > term_count + len(symbols) + 1:
+            z_components = {round(reading.axes.matrix[axis][2], 6) for reading in rest_readings}
+            if len(z_components) > 1 and len(self.readings) > term_count + len(symbols) + 1:
                 symbols.append(symbol)
         return symbols
 
@@ -352,14 +349,12 @@ def _remove_duplicates(symbols: Sequence[str]) -> tuple[str, ...]:
 
     With several accelerometers each has a radius; with one, the mounting has it.
     """
-    has_several_owners = (
-        len({owner for symbol in symbols if (owner := accelerometer_name(symbol))}) > 1
-    )
+    owners = {owner for symbol in symbols if (owner := accelerometer_name(symbol))}
     bare_symbols = {shared_symbol(symbol) for symbol in symbols if accelerometer_name(symbol)}
     return tuple(
         symbol
         for symbol in symbols
-        if not (symbol in bare_symbols if has_several_owners else accelerometer_name(symbol))
+        if not (symbol in bare_symbols if len(owners) > 1 else accelerometer_name(symbol))
     )
 
 
@@ -397,10 +392,8 @@ def _resolve_priors(
         elif owner in stated_priors and own_symbol in ACCELEROMETER_TERMS:
             symbols, owners = (own_symbol,), (owner,)
         elif key in ACCELEROMETER_TERMS:
-            own_symbol, owners = (
-                key,
-                [name for name in stated_priors if f"{name}.{key}" not in prior_by_key],
-            )
+            own_symbol = key
+            owners = [name for name in stated_priors if f"{name}.{key}" not in prior_by_key]
         elif key in BARE_NAMES:
             symbols = [row.symbol for row in BARE_NAMES[key]]
         elif key not in SHARED_TERMS:
@@ -474,16 +467,14 @@ def _resolve_sizes(
 ) -> dict[str, float]:
     """Return the stated largest credible magnitudes (``limits``) or ``typical`` ones."""
     sizes: dict[str, float] = {}
-    values_by_key = flatten_keys(raw)
-    for key in _sort_general_first(values_by_key):
+    raw_values = flatten_keys(raw)
+    for key in _sort_general_first(raw_values):
         path = ("model", section_key, key)
         symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]
         if not is_term(symbols[0]):
             _report_unknown_term(key, path, problems)
             continue
-        size = problems.collect(
-            path, parse_exact, values_by_key[key], term(symbols[0]).unit, gravity
-        )
+        size = problems.collect(path, parse_exact, raw_values[key], term(symbols[0]).unit, gravity)
         if size is not None and size <= 0.0:
             problems.add(path, "must be greater than zero", "value-out-of-range")
         elif size is not None:

@@ -297,11 +297,8 @@ class Attitude:
     """The directions of a platform's axes, and the dividing head that turned them."""
 
     rows: Array  #: Axes x, y, z in east-north-up, shape (3, 3); the identity when level.
-    head_axis: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-    )  #: Axis of the dividing head; zero without a turn.
+    #: Axis of the dividing head; zero without a turn.
+    head_axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
     angle: float = 0.0  #: Angle of the turn, rad.
     u: float = 0.0  #: Standard uncertainty of the angle, rad.
     is_unknown: bool = False  #: Whether the attitude is unknown; its axes are then those of level.

@@ -88,17 +88,15 @@ def _question_removed_gravity(campaign: Campaign) -> Iterator[Question]:
     if campaign.site.removed_gravity is not None or campaign.gravity.u == 0.0:
         return
     for name, accelerometer in campaign.accelerometers.items():
-        upright_runs = [
+        run_names = [
             run.name
             for run in campaign.runs
             if abs(accelerometer.mounting.turned(run.attitude).input_axis[2])
             > _MIN_VERTICAL_COMPONENT
         ]
-        if not upright_runs or accelerometer.observable == "specific_force":
+        if not run_names or accelerometer.observable == "specific_force":
             continue
-        run_text = (
-            f"run {upright_runs[0]}" if len(upright_runs) == 1 else f"{len(upright_runs)} runs"
-        )
+        run_text = f"run {run_names[0]}" if len(run_names) == 1 else f"{len(run_names)} runs"
         yield Question(
             code="removed-gravity",
             subject=f"{name}.K_I",
@@ -129,11 +127,9 @@ def _question_own_velocity(campaign: Campaign) -> Iterator[Question]:
             for name, accelerometer in campaign.accelerometers.items()
         }
         projection = unobserved_projection(list(axes.values()))
-        for name, axis_error in axes.items():
-            if axis_error.observable in NAVIGATION_OBSERVABLES:
-                coupling = float(
-                    np.linalg.norm(axis_error.input_axis @ coriolis_matrix @ projection)
-                )
+        for name, axis in axes.items():
+            if axis.observable in NAVIGATION_OBSERVABLES:
+                coupling = float(np.linalg.norm(axis.input_axis @ coriolis_matrix @ projection))
                 couplings[name] = max(coupling, couplings.get(name, 0.0))
     if not couplings:
         yield Question(

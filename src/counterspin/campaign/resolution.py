@@ -167,18 +167,14 @@ class DescriptionReader:
     def resolve_attributes(self) -> dict[str, Any] | None:
         """Return the attributes of a `Campaign`, or None if there are problems."""
         problems, gravity, sections, raw = self.problems, self.gravity, self.sections, self.raw
-        indexed_runs, centrifuge, records = (
-            sections["indexed_runs"],
-            sections.get("centrifuge"),
-            sections.get("records"),
-        )
+        centrifuge, records = sections.get("centrifuge"), sections.get("records")
         fixture = sections.get("fixture") or FixtureSettings()
         observables = sections["observables"] = self.accelerometers.find_observables()
         settings = problems.check(ModelSettings, table_of(raw, "model"), ("model",))
         revolutions = self._read_sampling().revolutions if self.is_simulated else None
         folder = self.file.parent
         resolved_runs = sections["runs"] = resolve_runs(
-            indexed_runs, folder, table_of(raw, "records"), revolutions, problems
+            sections["indexed_runs"], folder, table_of(raw, "records"), revolutions, problems
         )
         recording = records.recording if records else NO_RECORDING
         own_priors = self.accelerometers.own_priors

@@ -179,21 +179,19 @@ class TruthReader:
         if common_spindle is None or None in shared_tables.values() or run_settings is None:
             return None
 
-        def find_stated(key: str, default: Any) -> Any:
+        def lookup(key: str, default: Any) -> Any:
             values = (getattr(run_settings, key), getattr(common_spindle, key), default)
             return next(value for value in values if value is not None)
 
-        true_rate = rate * (1.0 + find_stated("rate_error", 0.0))
+        true_rate = rate * (1.0 + lookup("rate_error", 0.0))
         ripple_path: KeyPath = (
             (*path, "ripple") if run_settings.ripple is not None else ("truth", "spindle")
         )
         ripples = tuple(
             _resolve_ripple(entry, true_rate, ripple_path, self.problems)
-            for entry in find_stated("ripple", ())
+            for entry in lookup("ripple", ())
         )
-        spindle = Spindle(
-            true_rate, find_stated("drift", 0.0), ripples, find_stated("start_angle", 0.0)
-        )
+        spindle = Spindle(true_rate, lookup("drift", 0.0), ripples, lookup("start_angle", 0.0))
         values: dict[str, float] = {}
         for symbol, row in SHARED_TERMS.items():
             family, *keys = symbol.split(".")
@@ -221,16 +219,12 @@ class TruthReader:
         """
         known_names = [*self.names, *TRUTH_TABLES]
         for name in [name for name in self.raw if self.names and name not in known_names]:
-            message = "is neither an accelerometer nor a known table" + suggest_name(
-                name, known_names
-            )
-            self.problems.add(("truth", name), message, "unknown-accelerometer")
-        accelerometer_truths = {
+            text = "is neither an accelerometer nor a known table" + suggest_name(name, known_names)
+            self.problems.add(("truth", name), text, "unknown-accelerometer")
+        truths = {
             name: self._resolve_accelerometer(name, output) for name, output in outputs.items()
         }
-        tables = {
-            name: table for name, (table, _) in accelerometer_truths.items() if table is not None
-        }
+        tables = {name: table for name, (table, _) in truths.items() if table is not None}
         truth_by_run = {
             run.name: self._resolve_run(run.rate, run.truth, ("runs", index, "truth"))
             for index, run in described_runs.runs.items()
@@ -243,7 +237,7 @@ class TruthReader:
             if reading.rate
         }
         truth = SimulatedTruth(
-            coefficients={name: accelerometer_truths[name][1] for name in tables},
+            coefficients={name: truths[name][1] for name in tables},
             start_offset={name: table.start_offset for name, table in tables.items()},
             start_velocity={name: table.start_velocity for name, table in tables.items()},
             noise=self._resolve_record_noise(noise),
@@ -315,10 +309,8 @@ class TruthReader:
 
     def _resolve_record_noise(self, stated_noise: StatedNoise | None) -> StatedNoise:
         """Return the true noise of records, by default that of [noise]."""
-        noise_table = self.tables["noise"]
-        noise = (
-            stated_noise if "noise" not in self.raw else noise_table and noise_table.record_noise
-        )
+        table = self.tables["noise"]
+        noise = stated_noise if "noise" not in self.raw else table and table.record_noise
         return noise or StatedNoise()
 
     def _resolve_reading_noise(self, outputs: Mapping[str, Output | None]) -> dict[str, float]:

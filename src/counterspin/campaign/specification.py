@@ -184,10 +184,10 @@ def resolve_specifications(
     rule = problems.check(Specifications, {key: raw[key] for key in raw if key in keys}, path)
     tables = {key: value for key, value in raw.items() if isinstance(value, Mapping)}
     common_limits = {key: raw[key] for key in raw if key not in keys and key not in tables}
-    common_specifications = _parse_terms(
+    common_terms = _parse_terms(
         common_limits, path, [*keys, *TERMS, *accelerometers], problems, gravity
     )
-    by_accelerometer = {}
+    own_terms = {}
     for name in [key for key in tables if key not in keys]:
         if name == "platform" and name not in accelerometers:
             problems.add((*path, name), _PLATFORM_TERM_REFUSAL)
@@ -199,14 +199,8 @@ def resolve_specifications(
                 + _suggest_accelerometer(name, accelerometers),
                 "unknown-accelerometer",
             )
-        by_accelerometer[name] = _parse_terms(
-            tables[name], (*path, name), list(TERMS), problems, gravity
-        )
-    if (
-        not common_specifications
-        and not any(by_accelerometer.values())
-        and len(problems.lines) == problem_count
-    ):
+        own_terms[name] = _parse_terms(tables[name], (*path, name), list(TERMS), problems, gravity)
+    if not common_terms and not any(own_terms.values()) and len(problems.lines) == problem_count:
         problems.add(
             path,
             f"contains no term; write, for example, K_II = {_SPECIFICATION_FORMS.split(',')[0]}",
@@ -214,9 +208,7 @@ def resolve_specifications(
         )
     if rule is None or len(problems.lines) > problem_count:
         return None
-    terms = {
-        name: {**common_specifications, **by_accelerometer.get(name, {})} for name in accelerometers
-    }
+    terms = {name: {**common_terms, **own_terms.get(name, {})} for name in accelerometers}
     processes = _resolve_processes(rule.process, terms, path, problems, gravity)
     if len(problems.lines) > problem_count:
         return None
@@ -246,15 +238,13 @@ def _resolve_processes(
         if symbol not in specified_symbols:
             problems.add(key, f'"{symbol}" has no limits in [specification]', "missing-key")
             continue
-        distribution = problems.collect(
-            key, parse_quantity, text, TERMS[symbol].unit, gravity=gravity
-        )
-        if distribution is not None and distribution.u <= 0.0:
+        quantity = problems.collect(key, parse_quantity, text, TERMS[symbol].unit, gravity=gravity)
+        if quantity is not None and quantity.u <= 0.0:
             problems.add(
                 key, "needs a standard deviation, such as 0 ± 2.5e-5 g/g^2", "wrong-uncertainty"
             )
-        elif distribution is not None:
-            processes[symbol] = Process(distribution.value, distribution.u)
+        elif quantity is not None:
+            processes[symbol] = Process(quantity.value, quantity.u)
     return processes
 
 
