@@ -351,21 +351,17 @@ def _make_statements(table: ArmTable) -> Iterator[str]:
         if is_convertible(table.rate_unit or "", "m/s^2"):
             yield "accelerations apply at the stated radius; g is the local gravity at the site"
     for mounting in table.mountings:
-        named_direction, slope_direction, axis = (
-            parse_direction(mounting),
-            _direction_from_slope(table, mounting),
-            _mounting_direction(table, mounting),
-        )
+        named_direction = parse_direction(mounting)
+        slope_direction = _direction_from_slope(table, mounting)
+        axis = _mounting_direction(table, mounting)
         if axis == named_direction and slope_direction not in (None, named_direction):
             yield (
                 f"mounting '{mounting}': {named_direction} according to the name, but "
                 f"{slope_direction} according to the readings if the sensitivity is positive"
             )
         elif axis:
-            source = (
-                "according to the name" if axis == named_direction else "according to the readings"
-            )
-            yield f"mounting '{mounting}': input axis {axis}, {source}"
+            source = "name" if axis == named_direction else "readings"
+            yield f"mounting '{mounting}': input axis {axis}, according to the {source}"
     yield (
         "the pendulous axis rotates with the input axis; if the input axis is vertical, the "
         "pendulous axis points outward"

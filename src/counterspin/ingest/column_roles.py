@@ -139,9 +139,8 @@ class FileGuess:
     #: Column and scale of the accelerometer temperature; None: not found.
     temperature: tuple[str, str] | None = None
     wave_rate: float | None = None  #: Median rate of the signals' oscillations, rad/s; or None.
-    shared_times: FileColumn | None = (
-        None  #: Times shared by several rows, which are therefore counted.
-    )
+    #: Times shared by several rows, which are therefore counted.
+    shared_times: FileColumn | None = None
     uncounted_reason: str = ""  #: Reason why rows that share times cannot be counted; or empty.
 
     @property
@@ -267,7 +266,7 @@ def guess_file(
     used_names |= {temperature[0]} if temperature else set()
     unused_names = tuple(column.name for column in columns if column.name not in used_names)
     unused_names = (*unused_names, *contents.text_columns, *contents.numbers)
-    fields = (
+    return FileGuess(
         contents,
         time,
         angle,
@@ -278,8 +277,9 @@ def guess_file(
         unused_names,
         temperature,
         wave_rate,
+        shared_times,
+        uncounted_reason,
     )
-    return FileGuess(*fields, shared_times, uncounted_reason)
 
 
 def _choose_column(
@@ -297,13 +297,11 @@ def _find_temperature(
 ) -> tuple[str, str] | None:
     """Return name and scale of the temperature column, by answer, unit or name; or None."""
     scales = {column.name: scale for column in columns if (scale := temperature_scale(column))}
-    usable_scales = {
+    candidates = {
         name: scale for name, scale in scales.items() if answers.get(f"{name} is") != UNUSED_ROLE
     }
-    answered_names = [
-        name for name in usable_scales if answers.get(f"{name} is") == TEMPERATURE_ROLE
-    ]
-    return next(((name, usable_scales[name]) for name in (*answered_names, *usable_scales)), None)
+    answered_names = [name for name in candidates if answers.get(f"{name} is") == TEMPERATURE_ROLE]
+    return next(((name, candidates[name]) for name in (*answered_names, *candidates)), None)
 
 
 def _find_sampling_rate(contents: FileContents, answers: Mapping[str, str]) -> float | None:
@@ -471,15 +469,11 @@ def explain_missing_time(contents: FileContents) -> str:
             reasons = (reason for reason in contents.unread_reasons if f"column '{name}'" in reason)
             return next(reasons, f"Column '{name}' cannot be read as a time: '{cell}'").rstrip(".")
     for column in contents.columns:
-        drop_rows = np.flatnonzero(np.diff(column.values) < 0.0)
+        drops = np.flatnonzero(np.diff(column.values) < 0.0)
         reason = "most rows have the same value"
-        if drop_rows.size:
-            reason = (
-                f"it decreases in row {drop_rows[0] + 2} (number of decreases: {drop_rows.size})"
-            )
-        if _is_named_time(column.name) and (
-            drop_rows.size or not has_distinct_times(column.values)
-        ):
+        if drops.size:
+            reason = f"it decreases in row {drops[0] + 2} (number of decreases: {drops.size})"
+        if _is_named_time(column.name) and (drops.size or not has_distinct_times(column.values)):
             return f"Column '{column.name}' is not used as the time: {reason}"
     return "The file has no time column"
 
@@ -518,10 +512,8 @@ def _guess_angle(
         ):
             return AngleGuess(column.name, unit, has_file_unit=has_file_unit), unwrapped * factor
     if "per_revolution" in answers:
-        stated_counts = float(answers["per_revolution"])
-        return AngleGuess(
-            column.name, "count", stated_counts
-        ), unwrapped * 2.0 * np.pi / stated_counts
+        n_counts = float(answers["per_revolution"])
+        return AngleGuess(column.name, "count", n_counts), unwrapped * 2.0 * np.pi / n_counts
     if period is None:
         return AngleGuess(column.name, unit), None
     for revolution, name in _UNIT_BY_REVOLUTION.items():

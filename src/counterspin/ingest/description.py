@@ -276,14 +276,12 @@ def _make_statements(
     elif angle.pulses:
         yield f"angle: column '{angle.column}' contains pulse times, one pulse per revolution"
     else:
-        counts_text = (
-            f", {angle.per_revolution:.10g} per revolution" if angle.per_revolution else ""
-        )
+        suffix = f", {angle.per_revolution:.10g} per revolution" if angle.per_revolution else ""
         source = (
             "from the unit in the file" if angle.has_file_unit else "from the column name or values"
         )
         unit = angle.unit or "an unknown unit"
-        yield f"angle: column '{angle.column}', in {unit}{counts_text} ({source})"
+        yield f"angle: column '{angle.column}', in {unit}{suffix} ({source})"
     if sense is not None and angle is not None:
         yield f"sense: {sense}, determined from the phase difference between two axes"
     yield from common_guess.temperature_text

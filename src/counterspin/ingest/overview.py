@@ -177,13 +177,11 @@ def _describe_column(column: FileColumn, guess: FileGuess) -> str:
 def _describe_text_column(contents: FileContents, name: str) -> str:
     """Return the first different texts of a column."""
     cells = contents.text_cells.get(name) or contents.first_text_cells.get(name, ())
-    distinct_cells = sorted({cell for cell in cells if cell})
-    if not distinct_cells:
+    texts = sorted({cell for cell in cells if cell})
+    if not texts:
         return "empty"
-    suffix = (
-        f" and {len(distinct_cells) - _MAX_WORDS} more" if len(distinct_cells) > _MAX_WORDS else ""
-    )
-    return f"text ({', '.join(word[:40] for word in distinct_cells[:_MAX_WORDS])}{suffix})"
+    suffix = f" and {len(texts) - _MAX_WORDS} more" if len(texts) > _MAX_WORDS else ""
+    return f"text ({', '.join(word[:40] for word in texts[:_MAX_WORDS])}{suffix})"
 
 
 def guess_test(all_contents: Sequence[FileContents]) -> Test | None:

@@ -132,9 +132,7 @@ class PosesDraft(AnsweredDraft):
         names: list[Any] = []
         runs = []
         dialect_keys = self.contents.dialect_keys
-        have_same_format = all(
-            guess.contents.dialect_keys == dialect_keys for guess in self.guesses
-        )
+        is_uniform = all(guess.contents.dialect_keys == dialect_keys for guess in self.guesses)
         for contents in (guess.contents for guess in self.guesses):
             names.append(Path(unused_file_name(contents.title, "", names)).name)
             run = {
@@ -144,10 +142,10 @@ class PosesDraft(AnsweredDraft):
                 "record": relative_path(contents.path, folder),
                 "poses": pose_keys,
             }
-            runs.append(run if have_same_format else run | {"records": contents.dialect_keys})
+            runs.append(run if is_uniform else run | {"records": contents.dialect_keys})
         records = (
             {"time": time_table}
-            | (dialect_keys if have_same_format else {})
+            | (dialect_keys if is_uniform else {})
             | self.guesses[0].temperature_table
         )
         return {"records": records, "runs": runs}
@@ -268,9 +266,8 @@ def _make_statements(
     condition = (
         " if the record has 100 rows per second" if time is None and sampling_rate is None else ""
     )
-    condition = (
-        ", first part of the record," + condition if len(poses.level) == MAX_ROWS else condition
-    )
+    if len(poses.level) == MAX_ROWS:
+        condition = ", first part of the record," + condition
     source = guesses[0].contents.path.name if len(guesses) == 1 else f"{len(guesses)} files"
     yield from _make_pose_warnings(triad)
     threshold_text = f"{poses.threshold:.3g} {triad.unit or ''}".strip()
@@ -324,9 +321,6 @@ def _make_pose_warnings(triad: TriadColumns) -> Iterator[str]:
 
 
 def _list_unused_columns(guess: FileGuess, triad: TriadColumns) -> Iterator[str]:
-    unused_columns = [name for name in guess.unused_columns if name not in triad.columns]
-    unused_signals = [
-        signal.column for signal in guess.signals if signal.column not in triad.columns
-    ]
-    if unused_names := [*unused_signals, *unused_columns]:
+    names = [*(signal.column for signal in guess.signals), *guess.unused_columns]
+    if unused_names := [name for name in names if name not in triad.columns]:
         yield f"not used: {', '.join(unused_names[:20])}"

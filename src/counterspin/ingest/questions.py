@@ -398,10 +398,8 @@ def _infer_unit(signal: SignalGuess, radius: float, rate: float) -> SignalGuess:
     """Return a signal with the unit that fits its amplitude at a radius, m, and a rate, rad/s."""
     if signal.unit is not None or signal.observable is None:
         return signal
-    derivative_order, si_unit = (
-        list(OBSERVABLES).index(signal.observable),
-        OBSERVABLES[signal.observable],
-    )
+    derivative_order = list(OBSERVABLES).index(signal.observable)
+    si_unit = OBSERVABLES[signal.observable]
     expected_amplitude = radius * rate**derivative_order
     for unit in COMMON_UNITS[si_unit]:
         amplitude = signal.amplitude * unit_factor(unit, si_unit, gravity=STANDARD_GRAVITY)

@@ -101,28 +101,23 @@ class ReadingsDraft(AnsweredDraft):
         centrifuge: Section [centrifuge], if there is one.
         """
         answers, resolved_folder = self.complete(), folder.resolve()
-        output_columns = [
-            [column.name for column in columns_of_output]
-            for columns_of_output in group_outputs(self.contents, self.roles, answers)
+        groups = [
+            [column.name for column in group]
+            for group in group_outputs(self.contents, self.roles, answers)
         ]
-        if not output_columns:
+        if not groups:
             column_names = ", ".join(column.name for column in self.contents.columns)
             text = (
                 f"no column of readings was found (columns: {column_names}); give the answer "
                 '"COLUMN is=reading"'
             )
             raise CampaignError("init", [text], code="missing-column")
-        has_letters = len(output_columns) <= len(ascii_uppercase)
-        names = [
-            ascii_uppercase[n] if has_letters else f"A{n + 1}" for n in range(len(output_columns))
-        ]
-        reading_columns = (
-            columns_of_output if len(columns_of_output) > 1 else columns_of_output[0]
-            for columns_of_output in output_columns
-        )
+        has_letters = len(groups) <= len(ascii_uppercase)
+        names = [ascii_uppercase[n] if has_letters else f"A{n + 1}" for n in range(len(groups))]
+        reading_columns = (group if len(group) > 1 else group[0] for group in groups)
         role_columns: dict[str, Any] = {"reading": dict(zip(names, reading_columns, strict=True))}
         uncertainty_columns = self._columns_with_role("uncertainty")
-        if len(uncertainty_columns) == len(output_columns):
+        if len(uncertainty_columns) == len(groups):
             role_columns["u"] = dict(zip(names, uncertainty_columns, strict=True))
         elif len(uncertainty_columns) == 1:
             role_columns["u"] = dict.fromkeys(names, uncertainty_columns[0])
@@ -132,7 +127,7 @@ class ReadingsDraft(AnsweredDraft):
             if (names_of_role := self._columns_with_role(role))
         }
         accelerometers = {}
-        for name, (column, *_) in zip(names, output_columns, strict=True):
+        for name, (column, *_) in zip(names, groups, strict=True):
             output = {"unit": answers[f"{column} unit"]}
             for key in ("sensitivity", "zero"):
                 if (answer_key := f"{column} {key}") in answers:
@@ -172,12 +167,10 @@ def guess_common_role(column: FileColumn) -> str:
     if _UNCERTAINTY_NAME.match(column.name):
         return "uncertainty"
     values = column.values[np.isfinite(column.values)]
-    has_many_rows = len(values) > _MIN_COUNTED_ROWS
+    is_long = len(values) > _MIN_COUNTED_ROWS
     is_nominal_column = is_nominal(values) and not (column.unit or unit_in_name(column.name))
     # Zero residuals, unused channels and nominal orientations are not measurements.
-    return (
-        UNUSED_ROLE if has_many_rows and (is_nominal_column or np.ptp(values) == 0.0) else "reading"
-    )
+    return UNUSED_ROLE if is_long and (is_nominal_column or np.ptp(values) == 0.0) else "reading"
 
 
 def _is_row_counter(column: FileColumn) -> bool:
@@ -287,10 +280,8 @@ def make_column_questions(
             continue
         is_text = name in contents.text_columns
         choices = tuple(word_roles) if is_text else (*unique_roles, *ROLES)
-        text, example = (
-            f"What does column '{name}' contain?",
-            WORD_ROLES[0] if is_text else ROLES[0],
-        )
+        text = f"What does column '{name}' contain?"
+        example = WORD_ROLES[0] if is_text else ROLES[0]
         yield FileQuestion(f"{name} is", text, example, choices, role)
 
 
@@ -318,10 +309,8 @@ def output_unit(
     column: FileColumn, answers: Mapping[str, str] = MappingProxyType({})
 ) -> str | None:
     """Return the unit of a column of readings, by answer, file or name; or None."""
-    known_units = (
-        unit for unit in (column.unit, unit_in_name(column.name)) if unit in _OUTPUT_UNITS
-    )
-    return answers.get(f"{column.name} unit") or next(known_units, None)
+    units = (unit for unit in (column.unit, unit_in_name(column.name)) if unit in _OUTPUT_UNITS)
+    return answers.get(f"{column.name} unit") or next(units, None)
 
 
 def make_role_statements(contents: FileContents, roles: Mapping[str, str]) -> Iterator[str]:

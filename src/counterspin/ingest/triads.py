@@ -195,25 +195,19 @@ def _search_triad(
         if len(column.values) == len(seconds) and not is_nominal(column.values)
     ]
     triads: list[TriadColumns] = []
-    for columns_xyz in islice(candidate_triples(candidates), _MAX_TRIPLES):
-        if len({column.unit for column in columns_xyz}) == 1 and _can_be_force(columns_xyz[0].unit):
-            triad = _analyse_columns(columns_xyz, seconds, min_rest, answers.get("unit"))
+    for triple in islice(candidate_triples(candidates), _MAX_TRIPLES):
+        if len({column.unit for column in triple}) == 1 and _can_be_force(triple[0].unit):
+            triad = _analyse_columns(triple, seconds, min_rest, answers.get("unit"))
             if (
                 triad.means is not None
                 and _cover_directions(triad.means - triad.zero)
                 and _has_varying_norms(triad)
             ):
                 triads.append(triad)
-    known_triads = [triad for triad in triads if triad.unit is not None] or triads
-    other_columns = (
-        triad.columns for triad in known_triads[1:] if _has_same_gravity(triad, known_triads[0])
-    )
-    further_columns = (
-        names for names in other_columns if not set(names) & set(known_triads[0].columns)
-    )
-    return (
-        replace(known_triads[0], further_columns=tuple(further_columns)) if known_triads else None
-    )
+    triads = [triad for triad in triads if triad.unit is not None] or triads
+    other_columns = (triad.columns for triad in triads[1:] if _has_same_gravity(triad, triads[0]))
+    further_columns = (names for names in other_columns if not set(names) & set(triads[0].columns))
+    return replace(triads[0], further_columns=tuple(further_columns)) if triads else None
 
 
 def _has_varying_norms(triad: TriadColumns) -> bool:
@@ -227,20 +221,18 @@ def find_filtered_axes(guess: FileGuess) -> tuple[str, ...]:
     """Find the axes of a sensor that reads zero at rest, because a filter removed gravity."""
     columns, seconds = _concatenate_files([guess])
     candidates = [column for column in columns.values() if len(column.values) == len(seconds)]
-    for columns_xyz in islice(candidate_triples(candidates), _MAX_TRIPLES):
-        if not all(is_convertible(column.unit, "m/s^2") for column in columns_xyz):
+    for triple in islice(candidate_triples(candidates), _MAX_TRIPLES):
+        if not all(is_convertible(column.unit, "m/s^2") for column in triple):
             continue
-        values = np.column_stack([column.values[:MAX_ROWS] for column in columns_xyz])
+        values = np.column_stack([column.values[:MAX_ROWS] for column in triple])
         try:
             poses = find_poses(seconds[:MAX_ROWS], values)
         except RecordError:
             continue
-        one_g = STANDARD_GRAVITY / unit_factor(
-            columns_xyz[0].unit, "m/s^2", gravity=STANDARD_GRAVITY
-        )
+        one_g = STANDARD_GRAVITY / unit_factor(triple[0].unit, "m/s^2", gravity=STANDARD_GRAVITY)
         has_rests = len(poses.start) > 1 and poses.contrast > MIN_CONTRAST
         if has_rests and _row_norms(poses.mean).max() < _MAX_FILTERED_GRAVITY * one_g:
-            return tuple(column.name for column in columns_xyz)
+            return tuple(column.name for column in triple)
     return ()
 
 
@@ -446,11 +438,9 @@ def candidate_triples(columns: Sequence[FileColumn]) -> Iterator[ColumnTriple]:
     Columns whose names differ only in these letters belong together; other columns belong together
     if they are adjacent.
     """
-    named_triples = _find_named_triples(columns)
-    yield from sorted(
-        named_triples, key=lambda triple: bool(_GRAVITY_FILTER_NAME.match(triple[0].name))
-    )
-    used_names = {column.name for triple in named_triples for column in triple}
+    triples = _find_named_triples(columns)
+    yield from sorted(triples, key=lambda triple: bool(_GRAVITY_FILTER_NAME.match(triple[0].name)))
+    used_names = {column.name for triple in triples for column in triple}
     other_columns = [column for column in columns if column.name not in used_names]
     yield from zip(other_columns, other_columns[1:], other_columns[2:], strict=False)
 
