@@ -132,11 +132,8 @@ class Clock:
         nominal_rate = self.rate
         # Differences over an eighth of a revolution are long compared with the encoder's noise and
         # step, but short enough that the median applies to wrapped and unwrapped angles.
-        lag = int(
-            np.clip(
-                _REVOLUTION / 8 / abs(nominal_rate * self.step), 1, max(1, len(valid_time) // 4)
-            )
-        )
+        max_lag = max(1, len(valid_time) // 4)
+        lag = int(np.clip(_REVOLUTION / 8 / abs(nominal_rate * self.step), 1, max_lag))
         spans = valid_time[lag:] - valid_time[:-lag]
         is_typical = (spans > 0) & (spans < _GAP_STEPS * lag * self.step)
         angle_steps, spans = (valid_angle[lag:] - valid_angle[:-lag])[is_typical], spans[is_typical]
@@ -192,7 +189,7 @@ class Clock:
         typical_advance = upper_median(sample)
         tolerance = _step_tolerance(_wrap_angle(sample - typical_advance), angle)
         # Indices at which the angle is wrapped, and revolutions to add from there on.
-        wrap_indices, revolutions = np.zeros(1, dtype=int), np.zeros(1)
+        wrap_indices, turns = np.zeros(1, dtype=int), np.zeros(1)
         if not (
             min_advance >= typical_advance - tolerance
             and max_advance <= typical_advance + tolerance
@@ -204,22 +201,17 @@ class Clock:
                 <= tolerance
             ).all():
                 return None
-            wrap_indices, revolutions = (
-                np.append(wrap_indices, misfit_indices + 1),
-                np.append(revolutions, np.cumsum(wrap_count)),
-            )
+            wrap_indices = np.append(wrap_indices, misfit_indices + 1)
+            turns = np.append(turns, np.cumsum(wrap_count))
         if not math.isnan(self._last_time):
             expected_angle = self._last_angle + self.rate * elapsed
-            previous_revolutions = float(np.round((expected_angle - angle[0]) / _REVOLUTION))
-            if (
-                abs(float(angle[0]) + _REVOLUTION * previous_revolutions - expected_angle)
-                > tolerance
-            ):
+            previous_turns = float(np.round((expected_angle - angle[0]) / _REVOLUTION))
+            if abs(float(angle[0]) + _REVOLUTION * previous_turns - expected_angle) > tolerance:
                 return None
-            revolutions = revolutions + previous_revolutions
-        if len(revolutions) > 1 or revolutions[0]:
+            turns = turns + previous_turns
+        if len(turns) > 1 or turns[0]:
             segment_lengths = np.diff(wrap_indices, append=len(angle))
-            unwrapped = angle + np.repeat(_REVOLUTION * revolutions, segment_lengths)
+            unwrapped = angle + np.repeat(_REVOLUTION * turns, segment_lengths)
             self.findings.wrapped = True
             chunk = Chunk(time, unwrapped, chunk.signals)
         return UsableRows(None, chunk, unevenness)
@@ -259,13 +251,11 @@ class Clock:
             has_number = ~np.isnan(chunk.angle[rows])
             self.findings.empty_angle += int((~has_number).sum())
             rows = self._plausible_rows(first_row, rows[has_number], chunk.angle)
-            is_fitting, unwrapped = self._unwrap_angle(
-                first_row, rows, time[rows], chunk.angle[rows]
-            )
+            is_fitting, angle = self._unwrap_angle(first_row, rows, time[rows], chunk.angle[rows])
             rows = rows[is_fitting]
         selected_rows = chunk[rows]
         if chunk.angle is not None:
-            selected_rows = Chunk(selected_rows.time, unwrapped[is_fitting], selected_rows.signals)
+            selected_rows = Chunk(selected_rows.time, angle[is_fitting], selected_rows.signals)
         unevenness = float(np.abs(np.diff(selected_rows.time) / self.step - 1).max(initial=0.0))
         return UsableRows(rows, selected_rows, unevenness)
 
@@ -393,15 +383,13 @@ class Clock:
         if not len(fitting_time):
             return angle
         elapsed, advance = np.diff(fitting_time), np.diff(fitting_angle)
-        revolutions = np.append(
-            0.0, np.cumsum(np.round((self.rate * elapsed - advance) / _REVOLUTION))
-        )
+        turns = np.append(0.0, np.cumsum(np.round((self.rate * elapsed - advance) / _REVOLUTION)))
         if not math.isnan(self._last_angle):
             expected_angle = self._last_angle + self.rate * (fitting_time[0] - self._last_time)
-            revolutions += np.round((expected_angle - fitting_angle[0]) / _REVOLUTION)
-        if revolutions.any():
+            turns += np.round((expected_angle - fitting_angle[0]) / _REVOLUTION)
+        if turns.any():
             self.findings.wrapped = True
-        angle[is_fitting] = fitting_angle + _REVOLUTION * revolutions
+        angle[is_fitting] = fitting_angle + _REVOLUTION * turns
         return angle
 
     def finish(self) -> None:

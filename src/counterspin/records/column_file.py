@@ -388,25 +388,17 @@ class ColumnFile(ABC):
         """
         import numpy as np
 
-        valid_timestamps = timestamps.drop_nulls().to_numpy()
-        if self.first_timestamp is None and len(valid_timestamps):
-            self.first_timestamp = int(valid_timestamps[0])
+        stamps = timestamps.drop_nulls().to_numpy()
+        if self.first_timestamp is None and len(stamps):
+            self.first_timestamp = int(stamps[0])
             self._midnight_counts = {}
         # Integers keep nanoseconds; seconds since 1970 in floating point do not.
         elapsed = (timestamps - (self.first_timestamp or 0)).to_numpy().astype(float)
-        if (
-            len(valid_timestamps)
-            and valid_timestamps.min() >= 0
-            and valid_timestamps.max() < _DAY_NS
-        ):  # times without dates
-            last_stamp, days = self._midnight_counts.get(
-                timestamps.name, (int(valid_timestamps[0]), 0)
-            )
-            days_passed = days + np.cumsum(
-                np.diff(valid_timestamps, prepend=last_stamp) < -_DAY_NS // 2
-            )
+        if len(stamps) and stamps.min() >= 0 and stamps.max() < _DAY_NS:  # times without dates
+            last_stamp, days = self._midnight_counts.get(timestamps.name, (int(stamps[0]), 0))
+            days_passed = days + np.cumsum(np.diff(stamps, prepend=last_stamp) < -_DAY_NS // 2)
             elapsed[timestamps.is_not_null().to_numpy()] += days_passed * float(_DAY_NS)
-            self._midnight_counts[timestamps.name] = int(valid_timestamps[-1]), int(days_passed[-1])
+            self._midnight_counts[timestamps.name] = int(stamps[-1]), int(days_passed[-1])
         return elapsed * 1e-9
 
     def _require(self, names: Sequence[str]) -> None:  # noqa: B027

@@ -430,13 +430,11 @@ class CsvFile(ColumnFile):
         )
         return (value.is_null() & ~is_empty).fill_null(False).alias(name)
 
-    def _convert_timestamps(
-        self, frame: pl.DataFrame, timestamp_names: Sequence[str]
-    ) -> pl.DataFrame:
+    def _convert_timestamps(self, frame: pl.DataFrame, names: Sequence[str]) -> pl.DataFrame:
         """Convert the time stamps of a batch to seconds since the first one of the file."""
         import polars as pl
 
-        for name in timestamp_names:
+        for name in names:
             if frame.select(self._is_invalid(name)).to_series().any():
                 raise RecordError(f"{self.path}: a cell is not a time.", code="not-numeric")
             times = frame.select(parse_nanoseconds(name)).to_series()
@@ -551,10 +549,8 @@ def _count_unclosed_line_ends(chunk: bytes, open_line_ends: int) -> int:
     if b'"' not in chunk:
         return open_line_ends + chunk.count(b"\n") if open_line_ends else 0
     byte_values = np.frombuffer(chunk, np.uint8)
-    quotation_marks, line_ends = (
-        np.flatnonzero(byte_values == ord('"')),
-        np.flatnonzero(byte_values == ord("\n")),
-    )
+    quotation_marks = np.flatnonzero(byte_values == ord('"'))
+    line_ends = np.flatnonzero(byte_values == ord("\n"))
     # Line ends before each mark and at the end of the chunk.
     line_ends_before = np.append(np.searchsorted(line_ends, quotation_marks), len(line_ends))
     line_ends_in_cells = np.diff(line_ends_before, prepend=1 - open_line_ends)[

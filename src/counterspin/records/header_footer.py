@@ -60,12 +60,11 @@ def parse_header(
     cells_by_key = {cells[0]: cells[1:] for cells in lines_above if cells and cells[1:]}
     columns = [name for name in names if name.lower() != "comment"]
     plain_names = {name: name.partition(DUPLICATE_MARK)[0] for name in names}
-    named_columns = (
-        columns[1:] if columns and plain_names[columns[0]] in (_TIME_NAME, "") else columns
-    )
+    if columns and plain_names[columns[0]] in (_TIME_NAME, ""):
+        columns = columns[1:]
     units = {
         name: unit
-        for name, text in zip(named_columns, cells_by_key.get(_UNITS_KEY, ()), strict=False)
+        for name, text in zip(columns, cells_by_key.get(_UNITS_KEY, ()), strict=False)
         if name and (unit := parse_file_unit(text))
     }
     if set(filter(None, cells_by_key.get(_DIMENSION_KEY, ()))) != {"Time"}:

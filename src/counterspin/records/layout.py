@@ -401,15 +401,11 @@ def _find_header(
     """Return the line of names above the rows, and the cells of units; or None."""
     units_row = dialect.units_row
     if dialect.skip_lines is None:
-        labelled_rows = {
-            cells[0].lower(): (number, cells) for number, cells in reversed(lines_above)
-        }
+        rows_by_key = {cells[0].lower(): (number, cells) for number, cells in reversed(lines_above)}
         for key in _NAME_KEYS:
-            if key in labelled_rows and len(labelled_rows[key][1]) >= width - 1:
-                number, names = labelled_rows[key]
-                units = next(
-                    (labelled_rows[key][1] for key in _UNIT_KEYS if key in labelled_rows), []
-                )
+            if key in rows_by_key and len(rows_by_key[key][1]) >= width - 1:
+                number, names = rows_by_key[key]
+                units = next((rows_by_key[key][1] for key in _UNIT_KEYS if key in rows_by_key), [])
                 # Columns before the channels are named in the last line.
                 cells_above = lines_above[-1][1] if not names[1] else []
                 channel_names = [
@@ -515,12 +511,10 @@ def describe_lines(lines: Sequence[Line], max_lines: int = 6) -> str:
     for number, line in [line for line in lines if line[1].strip()][:max_lines]:
         delimiter = max(SINGLE_DELIMITERS, key=line.count)
         cells = split_cells(line, delimiter if delimiter in line else BLANKS)
-        number_count = sum(
-            any(is_number(cell, mark) for mark in _NUMBER_PATTERNS) for cell in cells
-        )
+        n_numbers = sum(any(is_number(cell, mark) for mark in _NUMBER_PATTERNS) for cell in cells)
         cell_text = f"{len(cells)} cell" + "s" * (len(cells) > 1)
         descriptions.append(
-            f"  line {number}: {cell_text}, {number_count or 'none'} a number: {line.strip()[:60]}"
+            f"  line {number}: {cell_text}, {n_numbers or 'none'} a number: {line.strip()[:60]}"
         )
     return "\n".join(descriptions)
 
@@ -553,10 +547,8 @@ def _is_row(cells: Iterable[str], decimal: str) -> bool:
 def _has_numbers(cells: Sequence[str], decimal: str) -> bool:
     """Return whether at least half of the non-empty cells are numbers or times."""
     entries = [cell for cell in cells if cell]
-    number_count = sum(
-        is_number(cell, decimal) or bool(TIMESTAMP.fullmatch(cell)) for cell in entries
-    )
-    return 2 * number_count >= len(entries) and any(is_number(cell, decimal) for cell in entries)
+    n_numbers = sum(is_number(cell, decimal) or bool(TIMESTAMP.fullmatch(cell)) for cell in entries)
+    return 2 * n_numbers >= len(entries) and any(is_number(cell, decimal) for cell in entries)
 
 
 def is_number(cell: str, decimal: str) -> bool:

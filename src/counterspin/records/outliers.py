@@ -139,12 +139,10 @@ def _screen_all(
     signal: np.ndarray, time: np.ndarray | None, width: int, phase_step: float, step: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Screen all windows of a signal; return peaks, incomplete windows and the scale."""
-    whole_samples = len(signal) // width * width
-    first_time = None if time is None else time[:whole_samples]
-    peak, is_incomplete, scale = _screen(
-        signal[:whole_samples], first_time, width, phase_step, step
-    )
-    if whole_samples == len(signal):
+    n_whole = len(signal) // width * width
+    first_time = None if time is None else time[:n_whole]
+    peak, is_incomplete, scale = _screen(signal[:n_whole], first_time, width, phase_step, step)
+    if n_whole == len(signal):
         return peak, is_incomplete, scale
     # The last window overlaps the preceding one, so that every sample has a full window.
     last_window = signal[-width:]
@@ -193,18 +191,11 @@ def _screen(
         max(tested_residuals.max() - residual_median, residual_median - tested_residuals.min())
         <= _SCREEN_SDS * scale
     ):
-        return (
-            np.zeros(len(residuals)),
-            is_incomplete,
-            scale,
-        )  # no window needs its own peak: the usual case
-    return (
-        np.maximum(
-            residuals.max(axis=1) - residual_median, residual_median - residuals.min(axis=1)
-        ),
-        is_incomplete,
-        scale,
-    )
+        # The usual case: no window needs a separate peak.
+        return np.zeros(len(residuals)), is_incomplete, scale
+    max_residuals, min_residuals = residuals.max(axis=1), residuals.min(axis=1)
+    peak = np.maximum(max_residuals - residual_median, residual_median - min_residuals)
+    return peak, is_incomplete, scale
 
 
 def estimate_resolution(signal: np.ndarray) -> float:

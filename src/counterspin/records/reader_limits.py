@@ -52,13 +52,11 @@ def waiting_seconds(path: Path) -> float:
 def limit_reading(path: Path) -> None:
     """Limit the processor time and the memory of this process, which reads a file next."""
     try:
-        byte_count = path.stat().st_size
+        size = path.stat().st_size
     except (OSError, ValueError):
         return  # the reader reports the error
-    seconds = processor_seconds(byte_count)
-    extra_bytes = (
-        _READING_BYTES + _BYTES_PER_BYTE * byte_count + _THREAD_BYTES * (os.cpu_count() or 1)
-    )
+    seconds = processor_seconds(size)
+    extra_bytes = _READING_BYTES + _BYTES_PER_BYTE * size + _THREAD_BYTES * (os.cpu_count() or 1)
     if sys.platform == "win32":
         _JOB.limit(seconds, extra_bytes)
         return

@@ -161,11 +161,9 @@ def interpolate_pulses(pulses: Array, time: Array, rate: float, per_revolution: 
 def _interpolate_parabola(x: Array, y: Array, index: np.ndarray, position: Array) -> Array:
     """Interpolate by parabolas through three points around `index`, at `position` (Newton)."""
     x0, x1, x2 = x[index - 1], x[index], x[index + 1]
-    first_slope = (y[index] - y[index - 1]) / (x1 - x0)
-    second_difference = ((y[index + 1] - y[index]) / (x2 - x1) - first_slope) / (x2 - x0)
-    result: Array = y[index - 1] + (position - x0) * (
-        first_slope + (position - x1) * second_difference
-    )
+    slope = (y[index] - y[index - 1]) / (x1 - x0)
+    second_difference = ((y[index + 1] - y[index]) / (x2 - x1) - slope) / (x2 - x0)
+    result: Array = y[index - 1] + (position - x0) * (slope + (position - x1) * second_difference)
     return result
 
 

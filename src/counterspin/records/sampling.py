@@ -85,14 +85,8 @@ class ValueHolding:
         step_sizes = np.abs(nonzero_steps)
         typical_steps = step_sizes[step_sizes <= _OUTLIER_STEPS * median(step_sizes)]
         step = float(np.sqrt(np.mean(typical_steps**2)))
-        chance_repeats = min(
-            1.0, estimate_resolution(finite_values) / (math.sqrt(2.0 * math.pi) * step)
-        )
-        limit = (
-            3.0 * chance_repeats
-            + 5.0 * math.sqrt(chance_repeats / steps.size)
-            + _MIN_REPEATED_FRACTION
-        )
+        p_repeat = min(1.0, estimate_resolution(finite_values) / (math.sqrt(2.0 * math.pi) * step))
+        limit = 3.0 * p_repeat + 5.0 * math.sqrt(p_repeat / steps.size) + _MIN_REPEATED_FRACTION
         change_indices = np.flatnonzero(np.diff(sample, prepend=math.nan) != 0.0)[1:]
         # If samples are equal by chance, many differ from both neighbours.
         run_lengths = np.diff(change_indices)
@@ -108,7 +102,7 @@ class ValueHolding:
         if period := _find_change_period(change_indices):
             return cls(float(period), period, int(change_indices[0]) % period)
         rows = 1.0 / (1.0 - repeated_fraction)
-        if chance_repeats > _MAX_CHANCE_FRACTION:
+        if p_repeat > _MAX_CHANCE_FRACTION:
             raise InputError(
                 f"the signal repeats {100.0 * repeated_fraction:.2g} % of its values at "
                 "irregular intervals, which suggests a logging rate above the output rate of the "
@@ -357,11 +351,9 @@ def _lacks_rows(delay: Array, rows: int) -> bool:
         np.column_stack([np.polynomial.polynomial.polyvander(position, 2), min_delays[:-1]])
     )
     projections = orthonormal.T @ floor_changes
-    residual_sum = floor_changes @ floor_changes - projections @ projections
+    rss = floor_changes @ floor_changes - projections @ projections
     sign = math.copysign(1.0, factor[-1, -1])
-    return bool(
-        sign * projections[-1] > _WALK_LIMIT * math.sqrt(residual_sum / (floor_changes.size - 4))
-    )
+    return bool(sign * projections[-1] > _WALK_LIMIT * math.sqrt(rss / (floor_changes.size - 4)))
 
 
 def _has_constant_run(lengths: npt.NDArray[np.int_], rows: float) -> bool:

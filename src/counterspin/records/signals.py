@@ -133,9 +133,9 @@ def fit_harmonics(angle: np.ndarray, signal: np.ndarray) -> HarmonicFit:
     return HarmonicFit(coefficients[..., 0], centre, residual_sd, u_amplitude, first, last)
 
 
-def residual_noise(harmonic_fit: HarmonicFit) -> float:
+def residual_noise(fit: HarmonicFit) -> float:
     """Return the noise of a signal around its harmonics, in its unit; NaN if unknown."""
-    return median(harmonic_fit.residual_sd) if len(harmonic_fit.residual_sd) else math.nan
+    return median(fit.residual_sd) if len(fit.residual_sd) else math.nan
 
 
 @frozen
@@ -147,14 +147,14 @@ class UnitChange:
     description: str
 
 
-def _is_outlying_revolution(harmonic_fit: HarmonicFit) -> np.ndarray:
+def _is_outlying_revolution(fit: HarmonicFit) -> np.ndarray:
     """Return the mask of revolutions whose amplitude differs from the typical one, (m,)."""
-    amplitude = np.abs(harmonic_fit.amplitude)
+    amplitude = np.abs(fit.amplitude)
     if len(amplitude) < 3:
         return np.zeros(len(amplitude), dtype=bool)
     # An actual amplitude, not the mean of two: each half of the record may have another unit.
     typical_amplitude = float(np.sort(amplitude)[len(amplitude) // 2])
-    min_difference = _CHANGE_SDS * median(harmonic_fit.u_amplitude)
+    min_difference = _CHANGE_SDS * median(fit.u_amplitude)
     is_outlying: np.ndarray = (amplitude > _CHANGE_RATIO * typical_amplitude) | (
         amplitude < typical_amplitude / _CHANGE_RATIO
     )
@@ -164,17 +164,17 @@ def _is_outlying_revolution(harmonic_fit: HarmonicFit) -> np.ndarray:
     return is_outlying
 
 
-def find_unit_change(harmonic_fit: HarmonicFit, *, may_grow: bool) -> UnitChange | None:
+def find_unit_change(fit: HarmonicFit, *, may_grow: bool) -> UnitChange | None:
     """Find a change of the amplitude by a factor; None without a change or a harmonic.
 
-    harmonic_fit: Harmonic fit of the signal.
+    fit: Harmonic fit of the signal.
     may_grow: Whether the harmonic may be that of errors, which grows with time: then only a sudden
         change between steady amplitudes is a change of unit.
     """
-    is_outlying = _is_outlying_revolution(harmonic_fit)
+    is_outlying = _is_outlying_revolution(fit)
     if not is_outlying.any():
         return None
-    amplitude = np.abs(harmonic_fit.amplitude)
+    amplitude = np.abs(fit.amplitude)
     change_index = int(np.flatnonzero(is_outlying != is_outlying[0])[0])
     if may_grow and not (
         _is_steady(amplitude[:change_index][-4:-1])
@@ -196,31 +196,27 @@ def find_unit_change(harmonic_fit: HarmonicFit, *, may_grow: bool) -> UnitChange
     return UnitChange(before, after, description)
 
 
-def find_dropout(harmonic_fit: HarmonicFit, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
+def find_dropout(fit: HarmonicFit, angle: np.ndarray, signal: np.ndarray) -> np.ndarray:
     """Return the indices of samples in a dropout, before and after which the harmonic is the same.
 
     These are all samples from the first to the last one that deviates from the harmonics of both
     neighbouring revolutions.
     """
-    is_outlying = _is_outlying_revolution(harmonic_fit)
+    is_outlying = _is_outlying_revolution(fit)
     if not is_outlying.any() or is_outlying[0] or is_outlying[-1]:
         return np.empty(0, dtype=int)
     changes = np.flatnonzero(np.diff(is_outlying))
     dropouts = []
     for first, last in zip(changes[::2], changes[1::2] + 1, strict=True):
         neighbours = (max(int(first) - 1, 0), min(int(last) + 1, len(is_outlying) - 1))
-        samples = np.arange(
-            harmonic_fit.first_sample[neighbours[0]], harmonic_fit.last_sample[neighbours[1]] + 1
-        )
+        samples = np.arange(fit.first_sample[neighbours[0]], fit.last_sample[neighbours[1]] + 1)
         is_deviating = np.ones(len(samples), dtype=bool)
         for revolution in neighbours:
             limit = (
-                _DROPOUT_FRACTION * abs(harmonic_fit.amplitude[revolution])
-                + _DROPOUT_SDS * harmonic_fit.residual_sd[revolution]
+                _DROPOUT_FRACTION * abs(fit.amplitude[revolution])
+                + _DROPOUT_SDS * fit.residual_sd[revolution]
             )
-            is_deviating &= (
-                np.abs(signal[samples] - harmonic_fit.value(revolution, angle[samples])) > limit
-            )
+            is_deviating &= np.abs(signal[samples] - fit.value(revolution, angle[samples])) > limit
         if is_deviating.any():
             # In between, the harmonic may cross the value of a dead channel.
             dropouts.append(np.arange(samples[is_deviating][0], samples[is_deviating][-1] + 1))
@@ -241,30 +237,26 @@ def _nearest_unit_ratio(factor: float) -> tuple[str, float]:
 
 
 def find_changepoint(
-    harmonic_fit: HarmonicFit, change: UnitChange, angle: np.ndarray, signal: np.ndarray
+    fit: HarmonicFit, change: UnitChange, angle: np.ndarray, signal: np.ndarray
 ) -> int:
     """Return the sample at which a signal, (n,), changes from the fit before to that after."""
-    misfit_before = np.abs(signal - harmonic_fit.value(change.revolution_before, angle))
-    misfit_after = np.abs(signal - harmonic_fit.value(change.revolution_after, angle))
+    misfit_before = np.abs(signal - fit.value(change.revolution_before, angle))
+    misfit_after = np.abs(signal - fit.value(change.revolution_after, angle))
     return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(misfit_before - misfit_after)))))
 
 
-def check_first_harmonic(
-    harmonic_fit: HarmonicFit, nominal: FirstHarmonic, has_angle: bool
-) -> str | None:
+def check_first_harmonic(fit: HarmonicFit, nominal: FirstHarmonic, has_angle: bool) -> str | None:
     """Compare a signal's first harmonic with the expected one; return the problem, or None.
 
-    harmonic_fit: Harmonic fit of the signal, in the unit of `nominal`.
+    fit: Harmonic fit of the signal, in the unit of `nominal`.
     has_angle: Whether the angle is recorded; without it, the phase is not compared.
     """
-    if not len(harmonic_fit.amplitude):
+    if not len(fit.amplitude):
         return None
     expected, unit = nominal.amplitude, nominal.unit
-    median_amplitude = complex(
-        median(harmonic_fit.amplitude.real), median(harmonic_fit.amplitude.imag)
-    )
+    median_amplitude = complex(median(fit.amplitude.real), median(fit.amplitude.imag))
     ratio, magnitude = median_amplitude / expected, abs(median_amplitude / expected)
-    tolerance = _MATCH_SDS * _median_amplitude_sd(harmonic_fit, median_amplitude) / abs(expected)
+    tolerance = _MATCH_SDS * _median_amplitude_sd(fit, median_amplitude) / abs(expected)
     if (has_angle and abs(ratio - 1) < 0.5 + tolerance) or (
         not has_angle and 0.5 - tolerance < magnitude < 2 + tolerance
     ):
@@ -288,12 +280,12 @@ def check_first_harmonic(
     return f"{message}: check the unit of the column, the radius and the input axis"
 
 
-def _median_amplitude_sd(harmonic_fit: HarmonicFit, median_amplitude: complex) -> float:
+def _median_amplitude_sd(fit: HarmonicFit, median_amplitude: complex) -> float:
     """Return the standard deviation of the median amplitude, from the scatter of revolutions."""
-    revolution_count = len(harmonic_fit.amplitude)
-    between_sd = MAD_TO_SIGMA * median(np.abs(harmonic_fit.amplitude - median_amplitude))
-    samples = np.maximum(harmonic_fit.last_sample - harmonic_fit.first_sample + 1, 1)
-    within_sd = median(harmonic_fit.residual_sd * np.sqrt(2.0 / samples))
+    revolution_count = len(fit.amplitude)
+    between_sd = MAD_TO_SIGMA * median(np.abs(fit.amplitude - median_amplitude))
+    samples = np.maximum(fit.last_sample - fit.first_sample + 1, 1)
+    within_sd = median(fit.residual_sd * np.sqrt(2.0 / samples))
     return math.hypot(between_sd, within_sd) * math.sqrt(0.5 * math.pi / revolution_count)
 
 

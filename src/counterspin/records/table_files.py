@@ -127,21 +127,17 @@ def read_excel_table(
         table: pl.DataFrame = workbook.load_sheet(
             sheet, schema_sample_rows=None, **header_options
         ).to_polars()
-        mixed_columns = [
-            name for name, data_type in table.schema.items() if data_type == pl.String()
-        ]
-        if mixed_columns:
+        text_names = [name for name, data_type in table.schema.items() if data_type == pl.String()]
+        if text_names:
             # In text columns, the reader rounds numbers to nine decimals.
-            data_types: dict[str | int, Any] = dict.fromkeys(mixed_columns, "float")
+            data_types: dict[str | int, Any] = dict.fromkeys(text_names, "float")
             numeric_cells = (
                 workbook.load_sheet(sheet, dtypes=data_types, **header_options)
                 .to_polars()
-                .select(mixed_columns)
+                .select(text_names)
             )
-            exact_text = numeric_cells.cast(pl.String())
-            table = table.with_columns(
-                exact_text[name].fill_null(table[name]) for name in mixed_columns
-            )
+            texts = numeric_cells.cast(pl.String())
+            table = table.with_columns(texts[name].fill_null(table[name]) for name in text_names)
         return table
 
 
@@ -175,14 +171,12 @@ def _find_sheet(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str
             )
         return workbook, sheet
     # A workbook may also have empty sheets, and sheets with text.
-    filled_sheets = [name for name in names if workbook.load_sheet(name).height > 0]
-    matches = (
-        filled_sheets if len(filled_sheets) == 1 else _find_table_sheets(workbook, filled_sheets)
-    )
+    sheets = [name for name in names if workbook.load_sheet(name).height > 0]
+    matches = sheets if len(sheets) == 1 else _find_table_sheets(workbook, sheets)
     if len(matches) != 1:
         text = (
-            f"the sheets {format_names(matches or filled_sheets)} contain rows; name one of them"
-            if filled_sheets
+            f"the sheets {format_names(matches or sheets)} contain rows; name one of them"
+            if sheets
             else "the workbook has no sheets with rows"
         )
         raise RecordError(
@@ -286,10 +280,8 @@ class ExcelFile(ColumnFile):
             )
             if name in self.timestamp_columns:
                 datetimes = times.to_series(index).cast(pl.Datetime("ns")).cast(pl.Int64())
-                parsed_times = (
-                    stripped_text.to_frame().select(parse_nanoseconds("text")).to_series()
-                )
-                value = parsed_times.fill_null(datetimes)
+                stamps = stripped_text.to_frame().select(parse_nanoseconds("text")).to_series()
+                value = stamps.fill_null(datetimes)
                 columns[name] = self.elapsed_seconds(value)
             else:
                 value = numbers.to_series(index)

@@ -62,10 +62,8 @@ def _compute_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tupl
     time_span, last_time, longest_gap, rows = (math.inf, -math.inf), math.nan, (0.0, 0.0, 0.0), 0
     segments: list[Array] = []
     for chunk in iter_chunks(file.batches(columns.names), lambda _: chunk_size(1)):
-        time, temperatures = (
-            chunk[columns.time.name] * columns.time.factor,
-            chunk[column_spec.name] + column_spec.offset,
-        )
+        time = chunk[columns.time.name] * columns.time.factor
+        temperatures = chunk[column_spec.name] + column_spec.offset
         infinite_rows = np.flatnonzero(np.isinf(time))
         if len(infinite_rows):
             row_location = file.locate_row(rows + int(infinite_rows[0]))
@@ -77,10 +75,8 @@ def _compute_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tupl
             (temperatures < min_temperature) | (temperatures > max_temperature)
         )
         if len(implausible_rows):
-            temperature, row_location = (
-                float(temperatures[implausible_rows[0]]),
-                file.locate_row(rows + int(implausible_rows[0])),
-            )
+            temperature = float(temperatures[implausible_rows[0]])
+            row_location = file.locate_row(rows + int(implausible_rows[0]))
             raise RecordError(
                 f"{file.path}, {row_location}: column '{column_spec.name}' contains "
                 f"{temperature:.6g} K ({temperature - ZERO_CELSIUS:.6g} degC), which is outside "
