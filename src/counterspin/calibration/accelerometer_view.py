@@ -192,14 +192,13 @@ class AccelerometerView:
             times_by_run[block.run] = block.series.time[-whitened_residuals.size :]
             dof_by_run[block.run] = max(self.fit.degrees_of_freedom[index], _MIN_DOF)
         is_noise_stated = self.name not in self.estimate.estimated_noise
-        accelerometer_count = len(self.campaign.accelerometers)
         return diagnose(
             whitened_by_run,
             dof_by_run,
             noise_given=is_noise_stated,
             noise_dof=noise_level_dof(self.fit, self.name) if is_noise_stated else math.inf,
             times=times_by_run,
-            n_fits=accelerometer_count,
+            n_fits=len(self.campaign.accelerometers),
         )
 
 

@@ -46,12 +46,7 @@ CONTRADICTION_SIGMAS: Final = 6.0
 RESIDUAL_RATIO_LIMIT: Final = 2.0
 
 #: From the best to the worst.
-_RANKED_STATES: Final[tuple[State, ...]] = (
-    "good",
-    "reservations",
-    "not-determined",
-    "contradicted",
-)
+_STATES: Final[tuple[State, ...]] = ("good", "reservations", "not-determined", "contradicted")
 
 #: Largest credible white noise of an inertial accelerometer, g/Hz^0.5.
 MAX_RANDOM_WALK: Final = 5e-4
@@ -93,14 +88,9 @@ def judge_result(
         for finding in judged_accelerometer.findings
     ]
     # A new calibration has already been checked against the limits of its campaign.
-    shared_findings = [
-        *result.findings,
-        *(_check_shared_terms(result) if result.assumes_all else ()),
-    ]
+    findings = [*result.findings, *(_check_shared_terms(result) if result.assumes_all else ())]
     all_findings = rank_findings(
-        merge_shared_findings(
-            [*group_by_cause("", shared_findings, causes), *accelerometer_findings]
-        ),
+        merge_shared_findings([*group_by_cause("", findings, causes), *accelerometer_findings]),
         causes,
     )
     state = determine_state(all_findings)
@@ -122,10 +112,7 @@ def _update_state(result: Result) -> Result:
     """
     accelerometers = {}
     for name, accelerometer in result.accelerometers.items():
-        known_keys = {
-            (finding.code, finding.subject)
-            for finding in _flatten_explained(accelerometer.findings)
-        }
+        known_keys = _keys(_flatten_explained(accelerometer.findings))
         candidates = list(check_credibility(max_limit, name, accelerometer.coefficients))
         if not result.sealed:
             gravity, accelerometer_count = result.inputs.gravity, len(result.accelerometers)
@@ -148,9 +135,7 @@ def _update_state(result: Result) -> Result:
     accelerometer_findings = [
         finding for accelerometer in accelerometers.values() for finding in accelerometer.findings
     ]
-    known_keys = {
-        (finding.code, finding.subject) for finding in _flatten_explained(result.findings)
-    }
+    known_keys = _keys(_flatten_explained(result.findings))
     shared_findings = [
         finding
         for finding in _check_shared_terms(result)
@@ -172,8 +157,12 @@ def _flatten_explained(findings: Iterable[Finding]) -> Iterator[Finding]:
         yield from _flatten_explained(finding.explains)
 
 
+def _keys(findings: Iterable[Finding]) -> set[tuple[str, str]]:
+    return {(finding.code, finding.subject) for finding in findings}
+
+
 def _worst_state(*states: State | None) -> State:
-    return max((state for state in states if state is not None), key=_RANKED_STATES.index)
+    return max((state for state in states if state is not None), key=_STATES.index)
 
 
 def _judge_accelerometer(
@@ -208,16 +197,14 @@ def rank_findings(findings: Iterable[Finding], causes: Sequence[Cause] = ()) -> 
 
     causes: In the order of detection, the best explanation first.
     """
-    cause_ranks = {
-        (cause.finding.code, cause.finding.subject): rank for rank, cause in enumerate(causes)
-    }
+    ranks = {(cause.finding.code, cause.finding.subject): rank for rank, cause in enumerate(causes)}
     return sorted(
         findings,
         key=lambda finding: (
             not finding.contradicts,
             not finding.undetermined,
             finding.code != "as-printed",
-            cause_ranks.get((finding.code, finding.subject), len(cause_ranks)),
+            ranks.get((finding.code, finding.subject), len(ranks)),
             not finding.explains,
             -(finding.size or 0.0),
         ),
@@ -255,7 +242,7 @@ def refusal_reason(result: Result, names: Iterable[str]) -> str | None:
 def _check_model(
     name: str, accelerometer: AccelerometerResult, result: Result
 ) -> Iterator[Finding]:
-    known_keys = {(finding.code, finding.subject) for finding in accelerometer.findings}
+    known_keys = _keys(accelerometer.findings)
     if result.model == "as-printed" and ("as-printed", name) not in known_keys:
         yield Finding(
             code="as-printed",
@@ -298,7 +285,7 @@ def check_statistics(
 
     gravity: m/s^2.
     """
-    known_keys = {(finding.code, finding.subject) for finding in accelerometer.findings}
+    known_keys = _keys(accelerometer.findings)
     if ("lack-of-fit", name) not in known_keys:
         yield from _check_fit(name, accelerometer.residual, accelerometer_count)
     yield from _check_noise(name, accelerometer, gravity)
@@ -392,13 +379,11 @@ def _noise_ratio(residual: Residual) -> float | None:
     return math.sqrt(residual.chi2 / residual.dof)
 
 
-def _check_noise(
-    name: str, accelerometer: AccelerometerResult, gravity: float
-) -> Iterator[Finding]:
+def _check_noise(name: str, accelerometer: AccelerometerResult, g: float) -> Iterator[Finding]:
     random_walk = accelerometer.noise.get("acceleration")
     if random_walk is None or not random_walk.estimated:
         return
-    ratio = random_walk.value / gravity / MAX_RANDOM_WALK
+    ratio = random_walk.value / g / MAX_RANDOM_WALK
     if ratio > 1.0:
         yield Finding(
             code="noise-implausible",
@@ -487,17 +472,12 @@ class Cause:
 
     def accounts_for(self, name: str, finding: Finding) -> bool:
         """Return whether a finding of an accelerometer disappears without this cause."""
-        is_method_check = finding.code == "methods-disagree"
-        code, subject = (
-            ("lack-of-fit", name) if is_method_check else (finding.code, finding.subject)
-        )
-        remaining_size = self.remaining_sizes.get((code, subject))
         if finding.code not in EXPLAINABLE_CODES:
             return False
-        return remaining_size is None or (
-            finding.code != "methods-disagree"
-            and remaining_size - 1.0 < _MAX_REMAINING_FRACTION * ((finding.size or 0.0) - 1.0)
-        )
+        if finding.code == "methods-disagree":
+            return ("lack-of-fit", name) not in self.remaining_sizes
+        size = self.remaining_sizes.get((finding.code, finding.subject))
+        return size is None or size - 1.0 < _MAX_REMAINING_FRACTION * ((finding.size or 0.0) - 1.0)
 
 
 def group_by_cause(

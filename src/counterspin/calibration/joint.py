@@ -85,7 +85,7 @@ def fit_jointly(problem: JointProblem) -> Outcome:
         unknown: make_coefficient(estimate, assessment, index)
         for index, unknown in enumerate(model.of_interest)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
-    } | _rotation_coefficients(estimate, assessment)
+    } | _rotation_parameters(estimate, assessment)
     deviations = (
         (unknown.symbol, unknown.name, _subtract_prior_mean(unknown, coefficient))
         for unknown, coefficient in shared_coefficients.items()
@@ -173,9 +173,7 @@ def estimate_campaign(problem: JointProblem) -> tuple[Estimate, ReadingData]:
     return estimation.estimate(problem.series, problem.model, problem.noise), ReadingData()
 
 
-def _rotation_coefficients(
-    estimate: Estimate, assessment: Assessment
-) -> dict[Unknown, Coefficient]:
+def _rotation_parameters(estimate: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:
     """Return the rotation parameters that the fit estimated from the displacement."""
     spindles = {series.run: series.trajectory.spindle for series in estimate.series}
     rotations = {}

@@ -160,10 +160,8 @@ def _noise_model(noise: StatedNoise | None, accelerometer: Accelerometer) -> Noi
         model = replace(model, white=ESTIMATE, random_walk=0.0)
     # Rows without noise have no weights, so noise is estimated, except a random walk stated as 0.
     if not any((model.white, model.random_walk, model.quantisation)):
-        default_model = (
-            Noise(ESTIMATE) if "acceleration" in noise.model_fields_set else unknown_noise
-        )
-        return default_model.with_sizes({name: getattr(model, name) for name in BIAS_COMPONENTS})
+        default = Noise(ESTIMATE) if "acceleration" in noise.model_fields_set else unknown_noise
+        return default.with_sizes({name: getattr(model, name) for name in BIAS_COMPONENTS})
     if noise.wanders and model.white == 0.0 and model.to_estimate:
         return replace(model, white=ESTIMATE)  # a bias drift comes with white noise
     return model

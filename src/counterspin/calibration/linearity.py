@@ -138,10 +138,8 @@ def assess_linearity(
             tested_sources.append(source)
             for key, (name, value) in estimates.items():
                 linear_shift = sensitivities[key].get(source, 0.0) * _SHIFT_SIGMAS * u
-                lower_shift, upper_shift = (fitted_values[name] - value for fitted_values in fits)
-                responses[key][source] = Response(
-                    lower_shift + linear_shift, upper_shift - linear_shift
-                )
+                lower, upper = (fitted_values[name] - value for fitted_values in fits)
+                responses[key][source] = Response(lower + linear_shift, upper - linear_shift)
     joint_differences: dict[tuple[str, str], float] = {}
     generator = np.random.default_rng(_SEED)
     for _ in range(_JOINT_FIT_COUNT if len(tested_sources) > 1 else 0):

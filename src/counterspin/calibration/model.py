@@ -223,7 +223,7 @@ def _active_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
     frame_terms = campaign.triad.frame_misalignments if campaign.triad else ()
     named_symbols = {*campaign.model.terms, *campaign.model.considered, *campaign.model.priors}
     conditions = set(changing_conditions(campaign))
-    accelerometer_terms = [
+    terms = [
         (name, symbol)
         for name in names
         for symbol, row in ACCELEROMETER_TERMS.items()
@@ -240,9 +240,7 @@ def _active_terms(campaign: Campaign, accelerometer: str = "") -> list[tuple[str
         or not symbol.startswith("centrifuge.radius.")
         or (accelerometer_name(symbol) and shared_symbol(symbol) not in named_symbols)
     ]
-    return list(
-        dict.fromkeys([*accelerometer_terms, *_platform_terms(campaign, names), *reading_terms])
-    )
+    return list(dict.fromkeys([*terms, *_platform_terms(campaign, names), *reading_terms]))
 
 
 def _is_active(
@@ -312,9 +310,7 @@ def _is_observable(symbol: str, observable: str, mounting: Mounting, attitude_by
     return is_sensitive(mounting.turned(attitude).input_axis, attitude)
 
 
-def _inseparable_squares(
-    campaign: Campaign, nuisance_unknowns: Sequence[Unknown]
-) -> Iterator[Unknown]:
+def _inseparable_squares(campaign: Campaign, unknowns: Sequence[Unknown]) -> Iterator[Unknown]:
     """Yield K_PP and K_OO if they are inseparable from K_II, although assumed perfect.
 
     At 1 g, the data determine only K_II - K_PP or K_II - K_OO.
@@ -326,7 +322,7 @@ def _inseparable_squares(
     if ALL_TERMS not in campaign.model.assume:
         return
     named_symbols = {*campaign.model.terms, *campaign.model.considered}
-    nuisance_keys = {(parameter.owner, parameter.symbol) for parameter in nuisance_unknowns}
+    nuisance_keys = {(parameter.owner, parameter.symbol) for parameter in unknowns}
     for name in campaign.accelerometers:
         for symbol in SQUARE_TERMS:
             if symbol not in named_symbols and (name, symbol) not in nuisance_keys:

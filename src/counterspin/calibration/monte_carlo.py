@@ -70,10 +70,10 @@ def add_intervals(
         Campaign with the distributions of priors and inputs.
     observed_runs
         Runs of the campaign.
-    trials
+    n_trials
         Number of trials.
     """
-    accelerometers, run_names = {}, set(result.runs)
+    accelerometers, runs = {}, set(result.runs)
     distributions = stated_distributions(campaign)
     linearity = assess_linearity(result, campaign, observed_runs)
     for accelerometer_index, (name, accelerometer) in enumerate(result.accelerometers.items()):
@@ -84,9 +84,7 @@ def add_intervals(
                 generator = np.random.default_rng((_SEED, accelerometer_index, index))
                 responses = linearity.second_order(name, symbol, coefficient.u)
                 sources = [*(line.source for line in lines), *responses]
-                source_distributions = _distributions_by_source(
-                    distributions, sources, name, run_names
-                )
+                source_distributions = _distributions_by_source(distributions, sources, name, runs)
                 errors = draw_errors(
                     lines, coefficient, source_distributions, n_trials, generator, responses
                 )
@@ -99,14 +97,12 @@ def add_intervals(
 
 def stated_distributions(campaign: Campaign) -> dict[str, InputDistribution]:
     """Return name of a term or input -> its stated distribution, if not normal."""
-    stated_quantities = stated_inputs(campaign) | dict(campaign.model.priors)
+    quantities = stated_inputs(campaign) | dict(campaign.model.priors)
     for name, accelerometer in campaign.accelerometers.items():
-        stated_quantities |= {
-            f"{name}.{symbol}": prior for symbol, prior in accelerometer.priors.items()
-        }
+        quantities |= {f"{name}.{symbol}": prior for symbol, prior in accelerometer.priors.items()}
     return {
         name: quantity.distribution
-        for name, quantity in stated_quantities.items()
+        for name, quantity in quantities.items()
         if quantity.distribution.shape != "normal"
     }
 
@@ -115,7 +111,7 @@ def _distributions_by_source(
     distributions: Mapping[str, InputDistribution],
     sources: Sequence[str],
     owner: str,
-    run_names: Collection[str],
+    runs: Collection[str],
 ) -> dict[str, InputDistribution]:
     """Return the distributions of the sources of a budget.
 
@@ -124,7 +120,7 @@ def _distributions_by_source(
     source_distributions: dict[str, InputDistribution] = {}
     for source in sources:
         run, _, symbol = source.partition(".")
-        for name in (f"{owner}.{source}", source, symbol if run in run_names else source):
+        for name in (f"{owner}.{source}", source, symbol if run in runs else source):
             if name in distributions:
                 source_distributions[source] = distributions[name]
     return source_distributions

@@ -107,7 +107,7 @@ def detect_detrending(moments_by_run: Mapping[str, Array]) -> tuple[int, list[st
     common_order = detrending_order(list(moments_by_run.values()))
     orders = {run: detrending_order([moments]) for run, moments in moments_by_run.items()}
     order = max(common_order, *orders.values())
-    return order, [run for run, moments in orders.items() if order in (common_order, moments)]
+    return order, [run for run, run_order in orders.items() if order in (common_order, run_order)]
 
 
 def _reject_detrended(campaign: Campaign, name: str, moments_by_run: Mapping[str, Array]) -> None:

@@ -182,9 +182,8 @@ def summarize_group_residuals(groups: Sequence[FittedGroup]) -> Residual:
     return Residual(
         rms=float(np.sqrt(np.mean(residuals**2))),
         unit="g",
-        dof=round(
-            sum(group.residual_dof for group in groups), 9
-        ),  # 0 for as many unknowns as readings
+        # 0 for as many unknowns as readings.
+        dof=round(sum(group.residual_dof for group in groups), 9),
         chi2=chi2 if is_testable else None,
         lack_of_fit_p=chi_square_tail(dof, chi2) if is_testable else None,
     )
@@ -215,11 +214,9 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     record_lines = record_noise_lines(noise, components, observable)
     all_series = view.series
     if any(series.variance_ratio != 1.0 for series in all_series):
-        white_line = record_lines[observable]
-        runs = {
-            series.run: white_line.value * math.sqrt(series.variance_ratio) for series in all_series
-        }
-        record_lines[observable] = white_line.model_copy(update={"runs": runs})
+        line = record_lines[observable]
+        runs = {series.run: line.value * math.sqrt(series.variance_ratio) for series in all_series}
+        record_lines[observable] = line.model_copy(update={"runs": runs})
     if timing_noise := estimated_timing_noise(view):
         record_lines["timing"] = NoiseLine(value=timing_noise, unit="s", estimated=True)
     return add_static_uncertainty(record_lines, view.campaign, noise, observable) | reading_lines
@@ -227,10 +224,9 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
 
 def estimated_timing_noise(view: AccelerometerView) -> float:
     """Return the time-stamp noise estimated from the residuals, s; 0: none."""
-    is_stated = view.campaign.noise is not None and view.campaign.noise.timing
-    return (
-        0.0 if is_stated else max((series.timestamp_noise for series in view.series), default=0.0)
-    )
+    if view.campaign.noise is not None and view.campaign.noise.timing:
+        return 0.0
+    return max((series.timestamp_noise for series in view.series), default=0.0)
 
 
 def add_static_uncertainty(

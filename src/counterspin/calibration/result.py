@@ -56,14 +56,7 @@ _NO_RESIDUALS_MESSAGE = (
 
 
 class Result(ReportableResult):
-    """A calibration's result; see the parts.
-
-    `state` is the worst of the accelerometers' and of the campaign's own; `findings` are those of
-    all of them. `accepted_misfit` is the reason for which a contradicted result is used all the
-    same. `correlation` is that of everything determined, accelerometers and platform together.
-    `rests_on` is what else is known of terms and inputs, stated or not; `assumed` are those that
-    are taken as perfect.
-    """
+    """Result of a calibration: accelerometers, platform, runs and inputs."""
 
     BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:notebook_blocks"
     REPORT_BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:full_report_blocks"
@@ -134,10 +127,8 @@ class Result(ReportableResult):
         for name, accelerometer in self.accelerometers.items():
             for symbol, coefficient in accelerometer.coefficients.items():
                 coefficient._gravity = self.gravity_of(name, symbol)
-        run_terms = (
-            coefficient for run in self.runs.values() for coefficient in run.terms.values()
-        )
-        for coefficient in (*self.platform.values(), *run_terms):
+        terms = (coefficient for run in self.runs.values() for coefficient in run.terms.values())
+        for coefficient in (*self.platform.values(), *terms):
             coefficient._gravity = StatedGravity(self.inputs.gravity, self.inputs.u_gravity)
 
     def gravity_of(self, name: str, symbol: str) -> StatedGravity:
@@ -163,7 +154,7 @@ class Result(ReportableResult):
         Raises
         ------
         KeyError
-            If there is none of that name; the message lists those that there are.
+            If no coefficient has this name; the message lists the names.
         """
         if name in self.platform:
             return self.platform[name]
@@ -215,24 +206,24 @@ class Result(ReportableResult):
         Parameters
         ----------
         accelerometer
-            Its name.
+            Name of the accelerometer.
         force
-            Specific force along its input axis in g, shape (n,) or one number.
+            Specific force along the input axis in g, shape (n,), or one number.
         pendulous, output_axis
-            Specific force along the other two axes, likewise.
+            Specific force along the other two axes, in the same form.
 
         Returns
         -------
         Prediction
-            `indicated` and `u`, both in g, shape (n,). u holds the covariance of the coefficients,
-            and what nothing states at its typical size, but no noise.
+            `indicated` and `u`, both in g, shape (n,). u includes the covariance of the
+            coefficients and default standard uncertainties, but no noise.
 
         Raises
         ------
         KeyError
-            If there is no accelerometer of that name.
+            If no accelerometer has this name.
         ValueError
-            If the forces are not finite, or of different lengths.
+            If the forces are not finite, or differ in length.
         """
         prediction: Prediction = load_name("counterspin.correction.instrument:predict")(
             self, self._accelerometer_name(accelerometer), force, pendulous, output_axis
@@ -261,12 +252,8 @@ class Result(ReportableResult):
             for index, coefficient in enumerate(map(self._find_determined, correlation.terms))
             if coefficient
         }
-        indices, u = (
-            list(coefficients_by_index),
-            np.array(
-                [coefficient.u for coefficient in coefficients_by_index.values()], dtype=float
-            ),
-        )
+        indices = list(coefficients_by_index)
+        u = np.array([coefficient.u for coefficient in coefficients_by_index.values()], dtype=float)
         return Covariance(
             tuple(correlation.terms[index] for index in indices),
             np.outer(u, u) * np.array(correlation.matrix)[np.ix_(indices, indices)],
@@ -310,7 +297,7 @@ class Result(ReportableResult):
     def residuals(self, accelerometer: str | None = None, run: str | None = None) -> pl.DataFrame:
         """Return the residuals of the records, for one or all accelerometers and runs.
 
-        Those of readings are in `readings` of each accelerometer.
+        The residuals of readings are in `readings` of each accelerometer.
 
         Returns
         -------
@@ -325,7 +312,7 @@ class Result(ReportableResult):
         CounterspinError
             If the result was read from a file, or is of the two-stage method, or has no records.
         KeyError
-            If there are none of that name.
+            If no residuals have these names.
         """
         if not self._residuals:
             raise CounterspinError(_NO_RESIDUALS_MESSAGE, code="missing-in-result")
@@ -342,7 +329,7 @@ class Result(ReportableResult):
         return selected_rows
 
     def plot(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
-        """Draw the residuals over time, a picture a run.
+        """Draw the residuals over time, one plot for each run.
 
         `axes` as for `reports.publication.draw_on_axes`.
         """
@@ -395,11 +382,9 @@ class Result(ReportableResult):
     __str__ = __repr__
 
     def publication(self, identifier: str | None = None) -> Publication:
-        """Return its report, to be written as HTML, PDF or Markdown."""
-        publication: Publication = super().publication(identifier)
-        return replace(
-            publication, title=self.title or "Calibration", version=self.provenance.version
-        )
+        """Return the report, for a file in HTML, PDF or Markdown."""
+        report: Publication = super().publication(identifier)
+        return replace(report, title=self.title or "Calibration", version=self.provenance.version)
 
     def validation_errors(self) -> Iterator[str]:
         """Yield the contradictions between the parts of a result."""

@@ -91,17 +91,13 @@ def summarize(result: Result) -> str:
     width = max((len(name) for name, _ in named_coefficients), default=0)
     lines = [f"{name.ljust(width)}  {text}" for name, text in named_coefficients]
     findings = [f"{finding.subject}: {finding.text}" for finding in result.findings]
-    remarks = [
-        escape_controls(shortened_text)
-        for text in findings[:1]
-        if (shortened_text := text[:_LINE_CHARACTERS])
-    ]
-    if hidden_count := len(findings) - 1:
-        remarks += [f"... {hidden_count} more findings"] if hidden_count > 0 else []
+    remarks = [escape_controls(text[:_LINE_CHARACTERS]) for text in findings[:1]]
+    if len(findings) > 1:
+        remarks.append(f"... {len(findings) - 1} more findings")
     max_lines = MAX_CELL_LINES - 1 - len(remarks)
     if len(lines) > max_lines:
         lines[max_lines - 1 :] = [
-            (f"... {len(lines) - max_lines + 1} more coefficients; .table() returns all of them")
+            f"... {len(lines) - max_lines + 1} more coefficients; .table() returns all of them"
         ]
     return "\n".join([escape_controls(heading), *map(escape_controls, lines), *remarks])
 

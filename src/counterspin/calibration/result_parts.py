@@ -243,10 +243,7 @@ class Fold(ResultPart):
 
 
 class Spectrum(ResultPart):
-    """Spectrum of whitened residuals; frequency in Hz, power 1 for white noise.
-
-    `lines` counts those of the periodogram of which each power is the mean.
-    """
+    """Spectrum of whitened residuals, in bands."""
 
     frequency: list[float]  #: Centre frequency of each band, Hz.
     power: list[float]  #: Mean power in each band; 1 for white noise.
@@ -387,7 +384,7 @@ class TriadResult(ResultPart):
     records: dict[str, PosesInRecord] = {}  #: Records in which poses were detected, by run.
 
     def frame(self, library: str = "polars") -> Any:
-        """Return the parameters as a frame with the columns of `Result.frame`.
+        """Return the parameters as a frame with the columns of `Result.table`.
 
         Parameters
         ----------
@@ -498,7 +495,7 @@ class AccelerometerResult(ResultPart):
         return NamedParts(values)
 
     def __repr__(self) -> str:
-        """Return state and coefficients, a line each."""
+        """Return state and coefficients, one per line."""
         width = max(map(len, self.coefficients), default=0)
         lines = [
             f"{symbol.ljust(width)}  {coefficient}"

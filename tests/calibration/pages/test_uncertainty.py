@@ -9,7 +9,7 @@ from counterspin.calibration.pages.uncertainty import (
     assumption_sentence,
     default_prior_sentence,
     prior_blocks,
-    split_small_lines,
+    split_budget,
 )
 from counterspin.calibration.result_parts import Knowledge
 from counterspin.inference.joint.summary import BudgetLine
@@ -79,11 +79,11 @@ def test_no_default_prior_sentence_if_noise_or_stated_prior_dominates():
 
 def test_negligible_lines_are_combined():
     lines = [BudgetLine(**make_line(f"K_{k}", "stated", 10.0**-k, 1.0)) for k in range(7)]
-    shown, combined = split_small_lines(lines)
+    shown, combined = split_budget(lines)
     # Shares are 1, 1e-2, 1e-4 and smaller: four lines are combined.
     assert [one.source for one in shown] == ["K_0", "K_1", "K_2"]
     assert len(combined) == 4
-    assert split_small_lines(lines[:6]) == (lines[:6], ())
+    assert split_budget(lines[:6]) == (lines[:6], ())
 
 
 def test_assumed_terms_are_named():

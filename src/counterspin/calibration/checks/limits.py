@@ -58,7 +58,7 @@ def max_limit(symbol: str, owner: str) -> float:  # noqa: ARG001 -- a LimitFunct
 
 
 def check_credibility(
-    get_limit: LimitFunction, name: str, coefficients: Mapping[str, Coefficient]
+    limit_of: LimitFunction, name: str, coefficients: Mapping[str, Coefficient]
 ) -> Iterator[Finding]:
     """Yield the findings on coefficients of an accelerometer beyond their credible limits.
 
@@ -71,9 +71,7 @@ def check_credibility(
         for symbol, coefficient in coefficients.items()
         if symbol in ACCELEROMETER_TERMS
         and (
-            finding := _credibility_finding(
-                get_limit, name, symbol, f"{name}.{symbol}", coefficient
-            )
+            finding := _credibility_finding(limit_of, name, symbol, f"{name}.{symbol}", coefficient)
         )
         is not None
     }
@@ -120,12 +118,12 @@ def check_default_priors(prior_knowledge: Sequence[Knowledge]) -> Iterator[Findi
 
 
 def _credibility_finding(
-    get_limit: LimitFunction, owner: str, symbol: str, subject: str, coefficient: Coefficient
+    limit_of: LimitFunction, owner: str, symbol: str, subject: str, coefficient: Coefficient
 ) -> Finding | None:
     """Return the finding on one estimate; None if it is credible or there is none."""
     if not coefficient.estimated or coefficient.value is None or coefficient.u is None:
         return None
-    row, limit = term(symbol), get_limit(symbol, owner)
+    row, limit = term(symbol), limit_of(symbol, owner)
     excess = abs(coefficient.value - row.nominal) - limit
     if excess <= _MAX_SIGMAS * coefficient.u:
         return None
@@ -134,13 +132,11 @@ def _credibility_finding(
     cause_text = (
         _scale_factor_cause(coefficient.value, limit) if symbol == "K_I" else _likely_cause(symbol)
     )
-    grade_clause = (
-        f" state the grade of the instrument in accelerometers.{owner}, or" if owner else ""
-    )
+    clause = f" state the grade of the instrument in accelerometers.{owner}, or" if owner else ""
     text = (
         f"{symbol} = {format_number(coefficient.value, 5)} {coefficient.unit} is not credible, "
         f"because {excess_text}. The records cannot reveal the cause. Check {cause_text}. If the "
-        f"value is real,{grade_clause} raise {symbol} in [model.limits]."
+        f"value is real,{clause} raise {symbol} in [model.limits]."
     )
     return Finding(
         code="incredible",

@@ -51,27 +51,25 @@ _RATIO_TOLERANCE: Final = 0.02
 
 def find_prior_conflict(view: AccelerometerView) -> Iterator[Finding]:
     """Yield the finding on the prior that the data contradict most, beyond chance."""
-    relaxed_fit = estimate_considered(view.fit)
-    unknowns = relaxed_fit.model.unknowns
+    fit = estimate_considered(view.fit)
+    unknowns = fit.model.unknowns
     priors = [
         alternative
-        for alternative in prior_alternatives(relaxed_fit)
+        for alternative in prior_alternatives(fit)
         # A value stated as exact has no prior to relax.
         if all(unknowns[index].prior[1] > 0.0 for index in alternative.prior_shifts)
     ]
     if not priors:
         return
     is_noise_known = not view.estimate.estimated_noise and bool(np.isinf(view.estimate.dof).all())
-    tests = run_score_tests(relaxed_fit, priors, noise_given=is_noise_known)
+    tests = run_score_tests(fit, priors, noise_given=is_noise_known)
     scores = tests.z
     best_index = int(np.flatnonzero(scores >= (1.0 - _TIE_TOLERANCE) * scores.max())[0])
     z = normal_equivalent(float(scores[best_index]), None if is_noise_known else tests.dof)
     if z <= agreement_limit(tests.test_count):
         return
     value, u = float(tests.value[best_index]), float(tests.u[best_index])
-    finding_text = PriorExplanation(
-        view.campaign, relaxed_fit, priors[best_index], value, u
-    ).describe()
+    finding_text = PriorExplanation(view.campaign, fit, priors[best_index], value, u).describe()
     yield Finding(
         code=finding_text.code,
         subject=finding_text.subject,

@@ -37,52 +37,45 @@ def reweight_runs(
         for view in views
         if view.has_records and not view.problem.noise[view.name].to_estimate
     ]
-    noise_ratios = {name: noise_by_run(estimate.fit, name) for name in stated_names}
-    noise_ratios = {name: runs for name, runs in noise_ratios.items() if _deviating_runs(runs)}
-    if not noise_ratios:
+    ratios = {name: noise_by_run(estimate.fit, name) for name in stated_names}
+    ratios = {name: runs for name, runs in ratios.items() if _deviating_runs(runs)}
+    if not ratios:
         return estimate, []
     reweighted_observations = [
-        replace(block, series=block.series.scale_noise(noise_ratios.get(block.accelerometer, {})))
+        replace(block, series=block.series.scale_noise(ratios.get(block.accelerometer, {})))
         for block in estimate.fit.design_blocks
     ]
     other_observations = estimate.fit.observations[len(reweighted_observations) :]
     fit = solve_joint(
         (*reweighted_observations, *other_observations), estimate.fit.model, estimate.fit.noise
     )
-    return replace(estimate, fit=fit), [
-        _noise_finding(name, runs) for name, runs in noise_ratios.items()
-    ]
+    return replace(estimate, fit=fit), [_noise_finding(name, runs) for name, runs in ratios.items()]
 
 
-def _deviating_runs(noise_ratios: Mapping[str, float]) -> list[str]:
+def _deviating_runs(ratios: Mapping[str, float]) -> list[str]:
     """Return the runs whose noise deviates from the stated one, largest deviation first."""
-    deviating_runs = [
+    runs = [
         run
-        for run, ratio in noise_ratios.items()
+        for run, ratio in ratios.items()
         if not 1.0 / _MAX_NOISE_RATIO < ratio < _MAX_NOISE_RATIO
     ]
-    return sorted(deviating_runs, key=lambda run: -abs(math.log(noise_ratios[run])))
+    return sorted(runs, key=lambda run: -abs(math.log(ratios[run])))
 
 
-def _noise_finding(name: str, noise_ratios: Mapping[str, float]) -> Finding:
-    deviating_runs = _deviating_runs(noise_ratios)
-    ratio_texts = [
-        f"{format_number(noise_ratios[run], 2)} times" for run in deviating_runs[:_MAX_NAMED_RUNS]
-    ]
+def _noise_finding(name: str, ratios: Mapping[str, float]) -> Finding:
+    runs = _deviating_runs(ratios)
+    ratio_texts = [f"{format_number(ratios[run], 2)} times" for run in runs[:_MAX_NAMED_RUNS]]
     ratio_texts[0] += " the stated noise"
     ratios_text = ", ".join(
-        f"{ratio_text} in {run}"
-        for ratio_text, run in zip(ratio_texts, deviating_runs, strict=False)
+        f"{ratio_text} in {run}" for ratio_text, run in zip(ratio_texts, runs, strict=False)
     )
-    contrast_clause = (
-        ", and as stated in the other runs" if len(deviating_runs) < len(noise_ratios) else ""
-    )
+    contrast_clause = ", and as stated in the other runs" if len(runs) < len(ratios) else ""
     text = (
         f"The differences between adjacent rows show that the noise of {name} is "
         f"{ratios_text}{contrast_clause}. Find the cause. Alternatively, remove the value from "
         "[noise], so that counterspin estimates the noise of each run."
     )
-    max_ratio = max(max(ratio, 1.0 / ratio) for ratio in noise_ratios.values())
+    max_ratio = max(max(ratio, 1.0 / ratio) for ratio in ratios.values())
     return Finding(code="wrong-noise", subject=name, text=text, size=max_ratio)
 
 

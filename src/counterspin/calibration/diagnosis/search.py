@@ -31,7 +31,7 @@ from counterspin.calibration.diagnosis.ranking import (
 from counterspin.calibration.diagnosis.untested_inputs import (
     AlternativeMounting,
     find_better_mounting,
-    fit_alternative_mountings,
+    fit_rotated_mountings,
     mounting_finding,
     undetermined_axis_remarks,
     untested_input_remarks,
@@ -101,7 +101,7 @@ def diagnose(
     views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
 ) -> Diagnosis:
     """Return the causes of the findings on a joint fit, and remarks on unverifiable inputs."""
-    mountings = fit_alternative_mountings(views)
+    mountings = fit_rotated_mountings(views)
     return Diagnosis(
         find_causes(views, results, mountings),
         (*undetermined_axis_remarks(mountings), *untested_input_remarks(views)),
@@ -153,7 +153,7 @@ def find_causes(
         else default_prior_alternatives(relaxed_estimate.fit)
     )
     priors, alternatives = (
-        _add_input_ranges(views[0].campaign, candidates) for candidates in (priors, alternatives)
+        _set_ranges(views[0].campaign, candidates) for candidates in (priors, alternatives)
     )
     return (
         _search_causes(views, relaxed_estimate, priors, alternatives, is_noise_known, mounting)
@@ -177,7 +177,7 @@ def _search_causes(
     campaign = views[0].campaign
     estimate, noise_findings = reweight_runs(views, estimate)
     causes = [
-        Cause(finding, (finding.subject,), _remaining_findings(views, estimate))
+        Cause(finding, (finding.subject,), _remaining_sizes(views, estimate))
         for finding in noise_findings
     ]
     first_z = 0.0
@@ -188,7 +188,7 @@ def _search_causes(
             views = [mounting.apply_to(view) for view in views]
             names = (mounting.view.name,)
             causes.append(
-                Cause(mounting_finding(mounting), names, _remaining_findings(views, estimate))
+                Cause(mounting_finding(mounting), names, _remaining_sizes(views, estimate))
             )
             first_z = math.sqrt(mounting.gain)
     for _ in range(_MAX_CAUSES):
@@ -224,10 +224,8 @@ def _search_causes(
         estimate = corrected_estimate
     if is_noise_known:
         record_views = (replace(view, estimate=estimate) for view in views if view.has_records)
-        wrong_noise_findings = (
-            finding for view in record_views for finding in check_stated_noise(view)
-        )
-        sorted_findings = sorted(wrong_noise_findings, key=lambda finding: -(finding.size or 0.0))
+        findings = (finding for view in record_views for finding in check_stated_noise(view))
+        sorted_findings = sorted(findings, key=lambda finding: -(finding.size or 0.0))
         causes += [Cause(finding, (finding.subject,), {}) for finding in sorted_findings]
     return tuple(causes)
 
@@ -249,7 +247,7 @@ def _is_suspicious(
     for view in views:
         result = results[view.name]
         codes = {
-            finding.code for finding in (*result.findings, *_check_view_statistics(view, result))
+            finding.code for finding in (*result.findings, *_statistics_findings(view, result))
         }
         if codes & EXPLAINABLE_CODES:
             return True
@@ -280,11 +278,9 @@ def _run_p_values(view: AccelerometerView) -> Iterator[float]:
         )
 
 
-def _harmonic_p(
-    power: np.ndarray, n_rows: int, rate: float, interval: float, scale: float
-) -> float:
+def _harmonic_p(power: np.ndarray, n_rows: int, rate: float, step: float, scale: float) -> float:
     """Return the p-value of the periodogram at the rotation frequency."""
-    index = round(abs(rate) * interval * n_rows / (2.0 * math.pi)) - 1
+    index = round(abs(rate) * step * n_rows / (2.0 * math.pi)) - 1
     nearby_power = power[max(index - 1, 0) : index + 2]
     if not nearby_power.size or not scale > 0.0:
         return 1.0
@@ -294,9 +290,7 @@ def _harmonic_p(
 # The alternatives
 
 
-def _add_input_ranges(
-    campaign: Campaign, alternatives: Sequence[Alternative]
-) -> tuple[Alternative, ...]:
+def _set_ranges(campaign: Campaign, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """Return the alternatives with credible ranges of inputs, relative to their stated values."""
     inputs = stated_inputs(campaign)
     ranges = {
@@ -402,12 +396,10 @@ def _correct_cause(
             estimate, fit=augment(estimate.fit, [added_unknown], [alternative.columns])
         )
         value = float(corrected_estimate.fit.solution.estimate[-1])
-        refined_alternative = mistakes.evaluate_alternative(
-            corrected_estimate.fit, alternative, value
-        )
-        if refined_alternative is alternative:
+        refinement = mistakes.evaluate_alternative(corrected_estimate.fit, alternative, value)
+        if refinement is alternative:
             break
-        alternative = refined_alternative
+        alternative = refinement
     corrected_estimate = _reestimate(estimate, corrected_estimate.fit, noise_models)
     solution = corrected_estimate.fit.solution
     u = float(solution.u[-1])
@@ -452,10 +444,8 @@ def _make_cause(
     ]
     if rivals:
         names = [rival.name for rival in rivals[:_MAX_RIVALS]]
-        unnamed_count = len(rivals) - len(names)
-        names += (
-            [f"{unnamed_count} more" if unnamed_count > 1 else "one more"] if unnamed_count else []
-        )
+        n_unnamed = len(rivals) - len(names)
+        names += [f"{n_unnamed} more" if n_unnamed > 1 else "one more"] if n_unnamed else []
         subject = "These causes" if len(rivals) > 1 else "This cause"
         text += f" {subject} would explain the records equally well: {'; '.join(names)}."
     is_decisive = normal_equivalent(explanation.z, explanation.dof) > CONTRADICTION_SIGMAS
@@ -470,17 +460,15 @@ def _make_cause(
             as_well=list(dict.fromkeys(rival.subject for rival in rivals)),
         ),
         affected_names,
-        _remaining_findings(views, corrected_estimate),
+        _remaining_sizes(views, corrected_estimate),
     )
 
 
-def _remaining_findings(
+def _remaining_sizes(
     views: Sequence[AccelerometerView], estimate: Estimate
 ) -> Mapping[tuple[str, str], float]:
     """Return (code, subject) -> size of the findings on a corrected fit."""
-    findings = [
-        finding for view in views for finding in _check_view(_evaluate_view(view, estimate))
-    ]
+    findings = [finding for view in views for finding in _check_view(_update_view(view, estimate))]
     findings += check_default_priors(prior_information(estimate, stated_inputs(views[0].campaign)))
     return {(finding.code, finding.subject): finding.size or math.inf for finding in findings}
 
@@ -499,7 +487,7 @@ def _affected_accelerometers(
     return (alternative.owner,) if alternative.owner in names else tuple(names)
 
 
-def _evaluate_view(view: AccelerometerView, estimate: Estimate) -> AccelerometerView:
+def _update_view(view: AccelerometerView, estimate: Estimate) -> AccelerometerView:
     """Return a view of another estimate, with the residuals of the readings updated."""
     groups = [group.evaluate(estimate.fit) for group in view.groups]
     return replace(view, estimate=estimate).select_groups(groups)
@@ -507,7 +495,7 @@ def _evaluate_view(view: AccelerometerView, estimate: Estimate) -> Accelerometer
 
 def _check_view(view: AccelerometerView) -> Iterator[Finding]:
     yield from residual_findings(view)
-    yield from _check_view_statistics(view, None)
+    yield from _statistics_findings(view, None)
     coefficients = {
         symbol: make_coefficient(view.estimate, view.assessment, index)
         for symbol, index in view.indices.items()
@@ -517,7 +505,7 @@ def _check_view(view: AccelerometerView) -> Iterator[Finding]:
         yield from (finding, *finding.explains)
 
 
-def _check_view_statistics(
+def _statistics_findings(
     view: AccelerometerView, result: AccelerometerResult | None
 ) -> Iterator[Finding]:
     """Yield the statistical findings on one accelerometer; result: None: computed from the view."""

@@ -95,9 +95,7 @@ class AlternativeMounting:
         return max(candidates, key=lambda candidate: candidate[2], default=("", 0.0, 0.0))
 
 
-def fit_alternative_mountings(
-    views: Sequence[AccelerometerView],
-) -> tuple[AlternativeMounting, ...]:
+def fit_rotated_mountings(views: Sequence[AccelerometerView]) -> tuple[AlternativeMounting, ...]:
     """Return the alternative mountings of the accelerometers with stated cross-axis terms."""
     mountings = []
     estimate = views[0].estimate
@@ -256,18 +254,10 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
     inputs = [*_stated_prior_inputs(views[0].campaign, fit), *_run_clock_inputs(fit)]
     if not inputs:
         return
-    data, priors = (
-        np.column_stack(rows)
-        for rows in zip(
-            *(
-                (untested_input.row_effect, untested_input.prior_effect)
-                for untested_input in inputs
-            ),
-            strict=True,
-        )
-    )
+    data = np.column_stack([candidate.row_effect for candidate in inputs])
+    priors = np.column_stack([candidate.prior_effect for candidate in inputs])
     residual_norms = np.linalg.norm(fit.solution.project_out(data, priors), axis=0)
-    default_sds = np.array([untested_input.default_sd for untested_input in inputs])
+    default_sds = np.array([candidate.default_sd for candidate in inputs])
     input_changes = np.minimum(
         default_sds,
         _DETECTABLE_SIGMAS / np.maximum(residual_norms, _DETECTABLE_SIGMAS / default_sds),
@@ -275,12 +265,12 @@ def untested_input_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
     shifts = input_changes * fit.solution.undetected_shifts(data, priors)
     for view in views:
         remarks = []
-        for index, untested_input in enumerate(inputs):
-            symbol, shift, ratio = largest_shift(view, untested_input.indices, shifts[:, index])
+        for index, candidate in enumerate(inputs):
+            symbol, shift, ratio = largest_shift(view, candidate.indices, shifts[:, index])
             if ratio >= _MIN_INPUT_SHIFT:
                 clause = (
-                    f"{untested_input.description} has an error of "
-                    f"{format_magnitude(untested_input.symbol, float(input_changes[index]))}"
+                    f"{candidate.description} has an error of "
+                    f"{format_magnitude(candidate.symbol, float(input_changes[index]))}"
                 )
                 shift_text = (
                     f"{format_magnitude(symbol, abs(shift))}, or "

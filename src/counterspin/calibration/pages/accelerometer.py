@@ -283,10 +283,8 @@ def _noise_sentence(noise: dict[str, NoiseLine], gravity: float) -> str:
             if is_approximate
             else format_estimate(value, u, unit)
         )
-        run_values = [
-            f"{format_number(run_value, 2)} in {run}" for run, run_value in line.runs.items()
-        ]
-        run_clause = f", by run {', '.join(run_values)}" if run_values else ""
+        run_texts = [f"{format_number(size, 2)} in {run}" for run, size in line.runs.items()]
+        run_clause = f", by run {', '.join(run_texts)}" if run_texts else ""
         clauses.append(f"{label} {noise_text} ({evaluation_text}){run_clause}")
     return f"Noise: {'; '.join(clauses)}."
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.pages.uncertainty import split_small_lines
+from counterspin.calibration.pages.uncertainty import split_budget
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.inference.joint.summary import BudgetLine
@@ -35,12 +35,12 @@ def budget_blocks(name: str, result: Result) -> Iterator[Block]:
     budgets = result.accelerometers[name].budget
     for symbol in sorted(budgets, key=lambda symbol: symbol != "K_II"):
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
-        yield budget_table(name, symbol, result, *split_small_lines(budgets[symbol]))
+        yield budget_table(name, symbol, result, *split_budget(budgets[symbol]))
 
 
 def interval_blocks(name: str, result: Result) -> Iterator[Block]:
     """Yield the GUM and Monte Carlo coverage intervals of an accelerometer, if available."""
-    outcome_texts = {True: "validated", False: "not validated", None: "too few trials"}
+    outcomes = {True: "validated", False: "not validated", None: "too few trials"}
     rows, n_trials = [], 0
     accelerometer = result.accelerometers[name]
     for symbol, monte_carlo in accelerometer.monte_carlo.items():
@@ -54,9 +54,7 @@ def interval_blocks(name: str, result: Result) -> Iterator[Block]:
             format_interval(0.5 * (low + high) * factor, u, 0.5 * (high - low) * factor)
             for low, high in intervals
         )
-        rows.append(
-            (symbol, gum_text, shortest_text, unit, outcome_texts[monte_carlo.gum_validated])
-        )
+        rows.append((symbol, gum_text, shortest_text, unit, outcomes[monte_carlo.gum_validated]))
     if rows:
         yield Heading(f"95 % coverage intervals of {name}, {n_trials} trials (JCGM 101)", 3)
         yield Table(
@@ -96,12 +94,10 @@ def _linearity_sentence(accelerometer: AccelerometerResult) -> str:
         for symbol, interval in accelerometer.monte_carlo.items()
         if interval.second_order
     ]
-    sentence = (
-        f"Monte Carlo trials use second-order sensitivities for {', '.join(second_order_texts)}."
-    )
-    text += (
-        f" {sentence}" if second_order_texts else " Monte Carlo trials use linear sensitivities."
-    )
+    sensitivities = "linear sensitivities"
+    if second_order_texts:
+        sensitivities = f"second-order sensitivities for {', '.join(second_order_texts)}"
+    text += f" Monte Carlo trials use {sensitivities}."
     failed_symbols = [
         symbol
         for symbol, interval in accelerometer.monte_carlo.items()

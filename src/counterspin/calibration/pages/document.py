@@ -136,7 +136,7 @@ def answer_blocks(result: Result, *, for_report: bool = False) -> Iterator[Block
     yield from misfit_blocks(result)
     yield from seal_warnings(result)
     for name, accelerometer in result.accelerometers.items():
-        paragraphs = list(_answer_paragraphs(name, accelerometer, shows_g_units=for_report))
+        paragraphs = list(_answer_paragraphs(name, accelerometer, in_g_units=for_report))
         card = accelerometer_card(name, accelerometer, paragraphs) if for_report else None
         yield from paragraphs if card is None else [card]
     yield from triad_summary(result)
@@ -158,20 +158,18 @@ def answer_blocks(result: Result, *, for_report: bool = False) -> Iterator[Block
 
 
 def _answer_paragraphs(
-    name: str, accelerometer: AccelerometerResult, *, shows_g_units: bool
+    name: str, accelerometer: AccelerometerResult, *, in_g_units: bool
 ) -> Iterator[Paragraph]:
     """Yield K_II of an accelerometer and the origin of its uncertainty."""
     if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
         state = accelerometer.state
-        yield _answer_paragraph(
-            f"K_II of {name}", coefficient, shows_g_units=shows_g_units, state=state
-        )
+        yield _answer_paragraph(f"K_II of {name}", coefficient, in_g_units=in_g_units, state=state)
         if sentence := default_prior_sentence(accelerometer) or main_source_sentence(accelerometer):
             yield Paragraph(sentence)
 
 
 def _answer_paragraph(
-    name: str, coefficient: Coefficient, *, shows_g_units: bool, state: State | None
+    name: str, coefficient: Coefficient, *, in_g_units: bool, state: State | None
 ) -> Paragraph:
     """Return a paragraph on K_II; a contradicted value has neither interval nor colour."""
     value, u, unit = to_field_units(coefficient)
@@ -180,13 +178,13 @@ def _answer_paragraph(
         style: Style = "undetermined" if state == "not-determined" else "warning"
         return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior_clause}", style)
     text = f"{name} = {format_estimate(value, u, unit)}"
-    if shows_g_units:
+    if in_g_units:
         text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
     if state == "contradicted":
         return Paragraph(text)
     if u > 0.0:
         expanded_u = expanded_uncertainty(u, coefficient.dof)
-        interval_text = format_interval(value, u, expanded_u, unit if shows_g_units else "")
+        interval_text = format_interval(value, u, expanded_u, unit if in_g_units else "")
         has_few_dof = coefficient.dof is not None and coefficient.dof < _MIN_NORMAL_DOF
         dof_clause = f", {format_count(coefficient.dof or 0.0)} dof" if has_few_dof else ""
         text += f"   (95 %: {interval_text}{dof_clause})"
@@ -437,11 +435,9 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
         Paragraph(f"{folder}: the data do not determine all requested terms.", "undetermined")
         for folder in batch.not_determined
     ]
-    failed_count = len(batch.failed)
-    calibrated_count = len(batch.campaigns) - failed_count
-    blocks.append(
-        Paragraph(f"{calibrated_count} campaigns calibrated, {failed_count} failed.", "quiet")
-    )
+    n_failed = len(batch.failed)
+    n_calibrated = len(batch.campaigns) - n_failed
+    blocks.append(Paragraph(f"{n_calibrated} campaigns calibrated, {n_failed} failed.", "quiet"))
     return blocks
 
 

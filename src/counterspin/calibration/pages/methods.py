@@ -236,9 +236,7 @@ def describe_tests(result: Result) -> Iterator[str]:
             if len({reading.rate > 0.0 for reading in readings}) > 1
             else "one sense of rotation"
         )
-        mountings = list(
-            dict.fromkeys(reading.mounting for reading in readings if reading.mounting)
-        )
+        mountings = dict.fromkeys(reading.mounting for reading in readings if reading.mounting)
         mounting_names = ", ".join(mountings)
         mounting_text = (
             f", {_format_count(len(mountings), 'mounting')} ({mounting_names})" if mountings else ""
@@ -255,8 +253,8 @@ def describe_tests(result: Result) -> Iterator[str]:
     if poses := unknown_poses(result):
         yield f"Readings at rest in {_format_count(len(poses), 'pose')} of unknown attitude."
     if result.runs:
-        runs = _format_count(len(result.runs), "record")
-        yield f"Double-turntable centrifuge records at the stated rates: {runs}."
+        record_text = _format_count(len(result.runs), "record")
+        yield f"Double-turntable centrifuge records at the stated rates: {record_text}."
 
 
 def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:

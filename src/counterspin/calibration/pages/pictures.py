@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin.calibration.pages.budget import evaluation_type
-from counterspin.calibration.pages.uncertainty import source_label, split_small_lines
+from counterspin.calibration.pages.uncertainty import source_label, split_budget
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
@@ -39,7 +39,7 @@ def correlation_map(name: str, accelerometer: AccelerometerResult) -> HeatMap | 
 
 def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_II") -> Bars | None:
     """Return u^2 of a coefficient as a stacked bar by source, in %; None without a budget."""
-    lines, small_lines = split_small_lines(accelerometer.budget.get(symbol, []))
+    lines, small_lines = split_budget(accelerometer.budget.get(symbol, []))
     coefficient = accelerometer.coefficients.get(symbol)
     if not lines or coefficient is None:
         return None
@@ -122,52 +122,46 @@ def residual_plots(
     """Yield the plots of an accelerometer's residuals."""
     yield from residuals_over_time(name, accelerometer, runs)
     unit, factor = _residual_unit(accelerometer)
-    traces = _residual_traces(accelerometer, runs)
-    for start in range(0, len(traces), _MAX_CURVES):
-        plotted_traces = traces[start : start + _MAX_CURVES]
-        yield from _angle_plot(name, plotted_traces, unit, factor)
-        yield from _spectrum_plot(name, plotted_traces)
-        yield from _quantile_plot(name, plotted_traces)
+    curves = _make_curves(accelerometer, runs)
+    for start in range(0, len(curves), _MAX_CURVES):
+        plotted_curves = curves[start : start + _MAX_CURVES]
+        yield from _angle_plot(name, plotted_curves, unit, factor)
+        yield from _spectrum_plot(name, plotted_curves)
+        yield from _quantile_plot(name, plotted_curves)
 
 
 def residuals_over_time(
     name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
 ) -> Iterator[Plot]:
     """Yield a plot of the residuals of each run; parameters as for `residual_plots`."""
-    for trace in _residual_traces(accelerometer, runs):
-        yield _time_plot(name, trace, *_residual_unit(accelerometer))
+    for curve in _make_curves(accelerometer, runs):
+        yield _time_plot(name, curve, *_residual_unit(accelerometer))
 
 
 def residual_spectra(
     name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
 ) -> Iterator[Plot]:
     """Yield plots of the spectra of the whitened residuals, with several runs in a plot."""
-    traces = _residual_traces(accelerometer, runs)
-    for start in range(0, len(traces), _MAX_CURVES):
-        yield from _spectrum_plot(name, traces[start : start + _MAX_CURVES])
+    curves = _make_curves(accelerometer, runs)
+    for start in range(0, len(curves), _MAX_CURVES):
+        yield from _spectrum_plot(name, curves[start : start + _MAX_CURVES])
 
 
 def _residual_unit(accelerometer: AccelerometerResult) -> tuple[str, float]:
     return _SUBMULTIPLE_UNITS.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
 
 
-def _residual_traces(
-    accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
-) -> list[_ResidualTrace]:
-    colours = {
-        run: index for index, run in enumerate(dict.fromkeys([*runs, *accelerometer.traces]))
-    }
+def _make_curves(accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]) -> list[_Curve]:
+    colours = {run: k for k, run in enumerate(dict.fromkeys([*runs, *accelerometer.traces]))}
     return [
-        _ResidualTrace(
-            run, colours[run], trace, runs[run].counts.get("block", 1) if run in runs else 1
-        )
+        _Curve(run, colours[run], trace, runs[run].counts.get("block", 1) if run in runs else 1)
         for run, trace in accelerometer.traces.items()
     ]
 
 
 @frozen
-class _ResidualTrace:
-    """Residuals of a run, its colour, and the number of samples in a block mean."""
+class _Curve:
+    """Curve of the residuals of a run: colour, and number of samples in a block mean."""
 
     run: str
     colour: int
@@ -175,16 +169,14 @@ class _ResidualTrace:
     block: int
 
 
-def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: float) -> Plot:
-    trace = residual_trace.trace
+def _time_plot(name: str, curve: _Curve, unit: str, factor: float) -> Plot:
+    trace = curve.trace
     time = tuple(trace.time)
     low, high = _scale_values(trace.low, factor), _scale_values(trace.high, factor)
     centre = tuple(0.5 * (lower + upper) for lower, upper in zip(low, high, strict=True))
-    sample_text = (
-        f"means of {residual_trace.block} samples" if residual_trace.block > 1 else "samples"
-    )
+    sample_text = f"means of {curve.block} samples" if curve.block > 1 else "samples"
     label = f"{sample_text}, from smallest to largest" if low != high else sample_text
-    series = [PlotSeries(label, time, centre, low, high, kind="band", colour=residual_trace.colour)]
+    series = [PlotSeries(label, time, centre, low, high, kind="band", colour=curve.colour)]
     if trace.rms is not None:
         # Two standard deviations, if the model is right.
         line_label, time_range = "± 2 rms", (time[0], time[-1])
@@ -197,7 +189,7 @@ def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: flo
         label = "rejected as outliers"
         series.append(PlotSeries(label, tuple(times), outliers, kind="points", is_highlighted=True))
     return Plot(
-        title=f"Residuals of {name}, {residual_trace.run}",
+        title=f"Residuals of {name}, {curve.run}",
         x_label="time, s",
         y_label=f"residual, {unit}",
         series=tuple(series),
@@ -206,19 +198,15 @@ def _time_plot(name: str, residual_trace: _ResidualTrace, unit: str, factor: flo
     )
 
 
-def _angle_plot(
-    name: str, traces: Sequence[_ResidualTrace], unit: str, factor: float
-) -> Iterator[Plot]:
+def _angle_plot(name: str, curves: Sequence[_Curve], unit: str, factor: float) -> Iterator[Plot]:
     series = []
-    for residual_trace in traces:
-        if residual_trace.trace.by_angle is not None and residual_trace.trace.by_angle.mean:
-            mean = residual_trace.trace.by_angle.mean
+    for curve in curves:
+        if curve.trace.by_angle is not None and curve.trace.by_angle.mean:
+            mean = curve.trace.by_angle.mean
             step = 360.0 / len(mean)
             angles = tuple((index + 0.5) * step for index in range(len(mean)))
             values = tuple(None if value is None else value * factor for value in mean)
-            series.append(
-                PlotSeries(residual_trace.run, angles, values, colour=residual_trace.colour)
-            )
+            series.append(PlotSeries(curve.run, angles, values, colour=curve.colour))
     if series:
         yield Plot(
             title=f"Mean residual of {name} as a function of the spindle angle",
@@ -229,23 +217,22 @@ def _angle_plot(
         )
 
 
-def _spectrum_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
+def _spectrum_plot(name: str, curves: Sequence[_Curve]) -> Iterator[Plot]:
     spectra = [
-        (residual_trace, residual_trace.trace.spectrum)
-        for residual_trace in traces
-        if residual_trace.trace.spectrum is not None
-        and len(residual_trace.trace.spectrum.frequency) > 1
+        (curve, curve.trace.spectrum)
+        for curve in curves
+        if curve.trace.spectrum is not None and len(curve.trace.spectrum.frequency) > 1
     ]
     if not spectra:
         return
     series = []
     # The band is widest for the run with the fewest lines.
-    residual_trace, spectrum = min(spectra, key=lambda pair: sum(pair[1].lines))
+    curve, spectrum = min(spectra, key=lambda pair: sum(pair[1].lines))
     if spectrum.lines:
         low, high = _white_noise_band(spectrum.lines)
         series.append(
             PlotSeries(
-                f"white noise, 95 % ({residual_trace.run})",
+                f"white noise, 95 % ({curve.run})",
                 tuple(spectrum.frequency),
                 tuple(0.5 * (lower + upper) for lower, upper in zip(low, high, strict=True)),
                 low,
@@ -255,13 +242,8 @@ def _spectrum_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
             )
         )
     series += [
-        PlotSeries(
-            residual_trace.run,
-            tuple(spectrum.frequency),
-            tuple(spectrum.power),
-            colour=residual_trace.colour,
-        )
-        for residual_trace, spectrum in spectra
+        PlotSeries(curve.run, tuple(spectrum.frequency), tuple(spectrum.power), colour=curve.colour)
+        for curve, spectrum in spectra
     ]
     yield Plot(
         title=f"Spectrum of the whitened residuals of {name}",
@@ -284,26 +266,21 @@ def _white_noise_band(lines: Sequence[int]) -> tuple[tuple[float, ...], tuple[fl
     return low, high
 
 
-def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot]:
-    traces_with_quantiles = [
-        (residual_trace, residual_trace.trace.quantiles)
-        for residual_trace in traces
-        if residual_trace.trace.quantiles is not None
+def _quantile_plot(name: str, curves: Sequence[_Curve]) -> Iterator[Plot]:
+    quantile_curves = [
+        (curve, curve.trace.quantiles) for curve in curves if curve.trace.quantiles is not None
     ]
-    if not traces_with_quantiles:
+    if not quantile_curves:
         return
     series = []
-    rows, shortest_trace = min(
-        (
-            (residual_trace.trace.rows or math.inf, residual_trace)
-            for residual_trace, _ in traces_with_quantiles
-        ),
+    rows, shortest_curve = min(
+        ((curve.trace.rows or math.inf, curve) for curve, _ in quantile_curves),
         key=lambda pair: pair[0],
     )
-    if math.isfinite(rows) and shortest_trace.trace.quantiles is not None:
-        z_values = tuple(shortest_trace.trace.quantiles.normal)
+    if math.isfinite(rows) and shortest_curve.trace.quantiles is not None:
+        z_values = tuple(shortest_curve.trace.quantiles.normal)
         half_widths = tuple(_quantile_half_width(z, rows) for z in z_values)
-        label = f"normal distribution, 95 % ({shortest_trace.run})"
+        label = f"normal distribution, 95 % ({shortest_curve.run})"
         low = tuple(-half_width for half_width in half_widths)
         series.append(
             PlotSeries(
@@ -313,17 +290,15 @@ def _quantile_plot(name: str, traces: Sequence[_ResidualTrace]) -> Iterator[Plot
     # Minus the quantiles of the normal distribution: otherwise all curves would look alike.
     series += [
         PlotSeries(
-            residual_trace.run,
+            curve.run,
             tuple(quantiles.normal),
             tuple(
-                sample_quantile - normal_quantile
-                for sample_quantile, normal_quantile in zip(
-                    quantiles.found, quantiles.normal, strict=True
-                )
+                sample - normal
+                for sample, normal in zip(quantiles.found, quantiles.normal, strict=True)
             ),
-            colour=residual_trace.colour,
+            colour=curve.colour,
         )
-        for residual_trace, quantiles in traces_with_quantiles
+        for curve, quantiles in quantile_curves
     ]
     yield Plot(
         title=f"Detrended normal Q-Q plot of whitened residuals of {name}",
@@ -352,26 +327,14 @@ def ripple_plot(runs: Mapping[str, RunResult]) -> Plot | None:
         if run.ripples:
             scale = 1e6 / abs(run.rate)
             amplitudes = [ripple.amplitude * scale for ripple in run.ripples]
-            expanded_uncertainties = [
-                _COVERAGE_FACTOR * ripple.u_amplitude * scale for ripple in run.ripples
-            ]
+            half_widths = [_COVERAGE_FACTOR * ripple.u_amplitude * scale for ripple in run.ripples]
             series.append(
                 PlotSeries(
                     name,
                     tuple(float(ripple.harmonic) for ripple in run.ripples),
                     tuple(amplitudes),
-                    low=tuple(
-                        amplitude - expanded_u
-                        for amplitude, expanded_u in zip(
-                            amplitudes, expanded_uncertainties, strict=True
-                        )
-                    ),
-                    high=tuple(
-                        amplitude + expanded_u
-                        for amplitude, expanded_u in zip(
-                            amplitudes, expanded_uncertainties, strict=True
-                        )
-                    ),
+                    low=tuple(y - u for y, u in zip(amplitudes, half_widths, strict=True)),
+                    high=tuple(y + u for y, u in zip(amplitudes, half_widths, strict=True)),
                     kind="points",
                     colour=index,
                 )

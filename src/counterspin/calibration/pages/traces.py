@@ -39,9 +39,7 @@ _MIN_MAGNITUDE: Final = 1e-15
 def thin_residuals(view: AccelerometerView) -> dict[str, Trace]:
     """Return the residuals of one accelerometer by run, thinned."""
     runs = {run.run.name: run for run in view.problem.observed_runs}
-    return {
-        block.run: _thin_run(view, index, runs[block.run]) for index, block, _ in view.records()
-    }
+    return {block.run: _thin_run(view, k, runs[block.run]) for k, block, _ in view.records()}
 
 
 def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
@@ -101,17 +99,13 @@ def _outlier_residuals(
     )
     time = np.concatenate([series.time[outliers], reader_times])
     error = np.concatenate([series.error[outliers], values - reference])
-    residual_at_outlier = error - np.interp(
-        time, fitted_series.time, fitted_series.error - residuals
-    )
-    largest_indices = np.sort(
-        np.argsort(-np.abs(residual_at_outlier), kind="stable")[:_MAX_OUTLIERS]
-    )
+    deviations = error - np.interp(time, fitted_series.time, fitted_series.error - residuals)
+    largest_indices = np.sort(np.argsort(-np.abs(deviations), kind="stable")[:_MAX_OUTLIERS])
     sorted_indices = largest_indices[np.argsort(time[largest_indices], kind="stable")]
     return list(
         zip(
             _round_digits(time[sorted_indices], 6),
-            _round_digits(residual_at_outlier[sorted_indices]),
+            _round_digits(deviations[sorted_indices]),
             strict=True,
         )
     )
@@ -166,15 +160,13 @@ def fold_over_revolution(angle: Array, values: Array, bin_count: int) -> tuple[A
     angle: Spindle angle, rad, not reduced to one revolution, shape (n,).
     values: Shape (n,).
     """
-    bin_index = np.minimum(
-        (np.mod(angle, TURN) * (bin_count / TURN)).astype(np.intp), bin_count - 1
-    )
-    count = np.bincount(bin_index, minlength=bin_count)
+    index = np.minimum((np.mod(angle, TURN) * (bin_count / TURN)).astype(np.intp), bin_count - 1)
+    count = np.bincount(index, minlength=bin_count)
     low, high = np.full(bin_count, np.inf), np.full(bin_count, -np.inf)
-    np.minimum.at(low, bin_index, values)
-    np.maximum.at(high, bin_index, values)
+    np.minimum.at(low, index, values)
+    np.maximum.at(high, index, values)
     with np.errstate(invalid="ignore"):
-        mean = np.bincount(bin_index, values, minlength=bin_count) / count
+        mean = np.bincount(index, values, minlength=bin_count) / count
     is_empty = count == 0
     low[is_empty], high[is_empty] = np.nan, np.nan
     return low, mean, high

@@ -71,9 +71,7 @@ class HasAssumptions(Protocol):
         """Terms assumed to be perfect."""
 
 
-def split_small_lines(
-    lines: Sequence[BudgetLine],
-) -> tuple[Sequence[BudgetLine], Sequence[BudgetLine]]:
+def split_budget(lines: Sequence[BudgetLine]) -> tuple[Sequence[BudgetLine], Sequence[BudgetLine]]:
     """Return the main lines and the small lines of a budget."""
     count = next((k for k, line in enumerate(lines) if line.share < _MIN_LINE_SHARE), len(lines))
     return (lines, ()) if len(lines) - count <= _MAX_SMALL_LINES else (lines[:count], lines[count:])
@@ -103,14 +101,12 @@ def default_prior_sentence(
         return text
     improved_u = IMPROVEMENT_FACTOR * what_if.known[largest_line.source]
     unit, factor = find_display_unit(coefficient.unit)
-    remaining_u_text = format_uncertainty(
-        what_if.u(symbol, {largest_line.source: improved_u}) * factor
-    )
+    u_text = format_uncertainty(what_if.u(symbol, {largest_line.source: improved_u}) * factor)
     subject = f"u({label})" if label else "u"
     return (
         f"{text} If {largest_line.source} were known to "
         f"{_format_source_u(largest_line, IMPROVEMENT_FACTOR)}, {subject} would fall to "
-        f"{remaining_u_text} {unit}."
+        f"{u_text} {unit}."
     )
 
 

@@ -2,5 +2,5 @@
 
 - `method`: from observed runs to the paper's result of each accelerometer
 - `findings`: its findings
-- `comparison`: its K_II beside the joint one
+- `comparison`: comparison of its K_II with the joint K_II
 """

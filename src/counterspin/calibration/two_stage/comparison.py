@@ -50,7 +50,7 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
     ]
     # Terms from the joint fit affect both estimates. The sensitivity of the joint K_II to them is
     # the regression coefficient, and the residual variance is independent of them.
-    considered_indices = {
+    index_by_key = {
         (parameter.owner, parameter.symbol): k
         for k, parameter in enumerate(stage_view.fit.model.considered)
     }
@@ -58,11 +58,9 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
     joint_indices = [
         k
         for k, unknown in enumerate(unknowns)
-        if (unknown.owner, unknown.symbol) in {*considered_indices} & {*joint_values}
+        if (unknown.owner, unknown.symbol) in {*index_by_key} & {*joint_values}
     ]
-    stage_indices = [
-        considered_indices[unknowns[k].owner, unknowns[k].symbol] for k in joint_indices
-    ]
+    stage_indices = [index_by_key[unknowns[k].owner, unknowns[k].symbol] for k in joint_indices]
     sd = np.sqrt(np.diag(covariance)[joint_indices])
     correlation = covariance[np.ix_(joint_indices, joint_indices)] / np.outer(sd, sd)
     regression = np.linalg.lstsq(correlation, covariance[joint_indices, index] / sd, rcond=None)[0]
@@ -85,9 +83,7 @@ def compare_k_ii(view: AccelerometerView) -> Comparison | None:
         (effect * considered_sd) ** 2 for effect, considered_sd in joint_effects.values()
     )
     # The joint variance includes the encoder errors, which the joint fit estimates.
-    rotation_names = {
-        parameter.name for parameter in unknowns if parameter.symbol in encoder.SYMBOLS
-    }
+    rotation_names = {unknown.name for unknown in unknowns if unknown.symbol in encoder.SYMBOLS}
     effects = stage_solution.sensitivity_considered[stage_index]
     stage_variance += sum(
         float(effects[k] * parameter.prior[1]) ** 2

@@ -112,21 +112,19 @@ def check_two_stage(
         ]
     for first_symbol, second_symbol, r in second_stage.near_collinear:
         text = (
-            f"The columns of {first_symbol} and {second_symbol} are nearly collinear at these rates"
+            f"The columns of {first_symbol} and {second_symbol} are nearly collinear at these "
+            f"rates (correlation {r:.4f})."
         )
-        text += f" (correlation {r:.4f})."
         findings.append(
             Finding(code="collinear", subject=f"{name}.{first_symbol}", text=text, size=abs(r))
         )
-    misfit_findings = _check_run_agreement(name, second_stage)
+    misfits = _check_run_agreement(name, second_stage)
     if model == "exact":
         conflicts = list(find_prior_conflict(view))
         # A wrong prior causes the misfit, unless there is more than one mistake.
-        findings += [
-            finding.model_copy(update={"explains": misfit_findings}) for finding in conflicts
-        ]
-        misfit_findings = [] if conflicts else misfit_findings
-    findings += misfit_findings
+        findings += [finding.model_copy(update={"explains": misfits}) for finding in conflicts]
+        misfits = [] if conflicts else misfits
+    findings += misfits
     lost_strobes = sum(parabola.strobes.lost for parabola in second_stage.parabolas)
     if lost_strobes:
         text = f"{lost_strobes} strobes coincided with gaps in the record and were omitted."
@@ -134,9 +132,7 @@ def check_two_stage(
     return findings
 
 
-def check_strobe_noise(
-    view: AccelerometerView, residual: Residual, sigma: float
-) -> Iterator[Finding]:
+def check_strobes(view: AccelerometerView, residual: Residual, sigma: float) -> Iterator[Finding]:
     """Yield a finding if the scatter of the strobes is below the stated noise; sigma: m."""
     p, alpha = residual.lack_of_fit_p, CHI_SQUARE_SIGNIFICANCE / len(view.campaign.accelerometers)
     if p is None or residual.chi2 is None or p <= 1.0 - alpha:

@@ -33,7 +33,7 @@ from counterspin.calibration.result_parts import (
     Residual,
 )
 from counterspin.calibration.two_stage.findings import (
-    check_strobe_noise,
+    check_strobes,
     check_two_stage,
     inseparable_sums,
     unstated_considered_symbols,
@@ -96,30 +96,24 @@ def calibrate_accelerometer(
     )
     campaign, name, model = problem.campaign, accelerometer.name, second_stage.fit.model
     series = problem.accelerometer_series(name)
-    estimated_coefficients = {
+    estimates = {
         unknown.symbol: make_coefficient(view.estimate, view.assessment, index)
         for index, unknown in enumerate(model.unknowns)
     }
-    if RIPPLE in estimated_coefficients and options.ripple == "ratio":
-        estimated_coefficients[RIPPLE] = estimated_coefficients[RIPPLE].model_copy(
-            update={"unit": "1"}
-        )
-    known_symbols = [
-        symbol
+    if RIPPLE in estimates and options.ripple == "ratio":
+        estimates[RIPPLE] = estimates[RIPPLE].model_copy(update={"unit": "1"})
+    coefficients = estimates | {
+        symbol: _prior_coefficient(accelerometer, symbol)
         for symbol in campaign.model.terms
-        if symbol in ACCELEROMETER_TERMS and symbol not in estimated_coefficients
-    ]
-    known_coefficients = {
-        symbol: _prior_coefficient(accelerometer, symbol) for symbol in known_symbols
+        if symbol in ACCELEROMETER_TERMS and symbol not in estimates
     }
-    coefficients = {**estimated_coefficients, **known_coefficients}
     indices = {
         unknown.symbol: index
         for index, unknown in enumerate(model.unknowns)
         if coefficients[unknown.symbol].estimated
     }
     budgets = {symbol: budget(second_stage.fit, index, name) for symbol, index in indices.items()}
-    residual = _summarize_residuals(second_stage.parabolas, view.estimate.estimated_noise.get(name))
+    residual = _make_residual(second_stage.parabolas, view.estimate.estimated_noise.get(name))
     result = AccelerometerResult(
         coefficients={
             symbol: coefficient
@@ -144,7 +138,7 @@ def calibrate_accelerometer(
         what_if=what_if(second_stage.fit, indices, budgets, name),
         findings=[
             *check_two_stage(view, second_stage, coefficients, options.model),
-            *check_strobe_noise(view, residual, second_stage.parabolas[0].sigma),
+            *check_strobes(view, residual, second_stage.parabolas[0].sigma),
             *check_credibility(
                 campaign.limit_of, name, {**coefficients, "K_I": _harmonic_scale_factor(series)}
             ),
@@ -227,12 +221,10 @@ def two_stage_view(
     assessment = assess(second_stage.fit.solution, [unknown.name for unknown in model.unknowns])
     # A term is not determined if a requested term has the same effect.
     unstated_symbols = unstated_considered_symbols(problem.campaign, name, second_stage)
-    requested_symbols = [
-        symbol for symbol in problem.campaign.model.terms if symbol in unstated_symbols
-    ]
+    symbols = [symbol for symbol in problem.campaign.model.terms if symbol in unstated_symbols]
     determined = {
         parameter.name: assessment.determined[parameter.name]
-        and not second_stage.alike(parameter.symbol, requested_symbols)
+        and not second_stage.alike(parameter.symbol, symbols)
         for parameter in model.unknowns
     }
     estimate = Estimate(
@@ -299,11 +291,9 @@ def _harmonic_scale_factor(all_series: Iterable[ResidualSeries]) -> Coefficient:
     """
     columns = []
     for series in all_series:
-        drift_columns = np.vander(series.time / series.time[-1], 4)
+        drifts = np.vander(series.time / series.time[-1], 4)
         signals = np.column_stack([series.columns(["K_I"], 1.0)[:, 0], series.error])
-        columns.append(
-            signals - drift_columns @ np.linalg.lstsq(drift_columns, signals, rcond=None)[0]
-        )
+        columns.append(signals - drifts @ np.linalg.lstsq(drifts, signals, rcond=None)[0])
     scale_column, error = np.concatenate(columns).T
     squared_norm = float(scale_column @ scale_column)
     scale_change = float(scale_column @ error) / squared_norm
@@ -312,9 +302,7 @@ def _harmonic_scale_factor(all_series: Iterable[ResidualSeries]) -> Coefficient:
     return Coefficient(value=value, u=u, unit=unit_of("K_I"), estimated=True)
 
 
-def _summarize_residuals(
-    parabolas: Sequence[Parabola], components: NoiseEstimate | None
-) -> Residual:
+def _make_residual(parabolas: Sequence[Parabola], components: NoiseEstimate | None) -> Residual:
     weighted_residuals = [
         parabola.residuals / parabola.strobes.noise_factor for parabola in parabolas
     ]
