@@ -1,11 +1,10 @@
-"""Simulated campaigns: records and readings of accelerometers whose coefficients are known.
+"""Simulated campaigns: records and readings of accelerometers with known coefficients.
 
-What is true of them is said in ``campaign.toml`` (`counterspin.campaign.simulated_truth`); no
-calibration reads it.
+The true values are in ``campaign.toml`` (`counterspin.campaign.simulated_truth`); calibrations
+ignore them.
 
 - `simulate`: `counterspin simulate`: the records, in memory or as files
-- `simulable`: whether a campaign can be simulated, and the campaign with its inputs as they truly
-  are
-- `readings`: simulated readings: their values, and files with them
-- `pose_record`: a record of a triad that is set down in one pose after the other
+- `simulable`: checks of campaigns before a simulation, and the campaign with its true inputs
+- `readings`: simulated readings, and files that contain their values
+- `pose_record`: records of a triad that rests in one pose after another
 """

@@ -63,19 +63,12 @@ def simulate_forces(
         (times - pose_index * interval - pose_duration(record)) / _MOTION_DURATION, 0.0, 1.0
     )
     turn_fraction = 0.5 * (1.0 - np.cos(np.pi * motion_progress))
-    start_directions, end_directions = (
-        directions[pose_index],
-        directions[np.minimum(pose_index + 1, n_poses - 1)],
-    )
-    perpendicular_directions = _perpendicular_directions(start_directions, end_directions)
+    starts, ends = directions[pose_index], directions[np.minimum(pose_index + 1, n_poses - 1)]
+    perpendiculars = _perpendicular_directions(starts, ends)
     angle = turn_fraction * np.arctan2(
-        np.sum(perpendicular_directions * end_directions, axis=1),
-        np.sum(start_directions * end_directions, axis=1),
+        np.sum(perpendiculars * ends, axis=1), np.sum(starts * ends, axis=1)
     )
-    force = (
-        np.cos(angle)[:, None] * start_directions
-        + np.sin(angle)[:, None] * perpendicular_directions
-    )
+    force = np.cos(angle)[:, None] * starts + np.sin(angle)[:, None] * perpendiculars
     frequencies = generator.uniform(*_TREMOR_FREQUENCIES, 3)
     phase = generator.uniform(0.0, 2.0 * math.pi, 3)
     tremor = _TREMOR_AMPLITUDE * np.sin(2.0 * np.pi * frequencies * times[:, None] + phase)
@@ -83,22 +76,15 @@ def simulate_forces(
     return times, force, directions
 
 
-def _perpendicular_directions(start_directions: Array, end_directions: Array) -> Array:
+def _perpendicular_directions(starts: Array, ends: Array) -> Array:
     """Return unit vectors perpendicular to the start directions, towards the end directions."""
-    projection = (
-        end_directions
-        - np.sum(start_directions * end_directions, axis=1)[:, None] * start_directions
-    )
+    projection = ends - np.sum(starts * ends, axis=1)[:, None] * starts
     norm = np.linalg.norm(projection, axis=1)
-    fallback_directions = np.cross(
-        start_directions, np.eye(3)[np.argmin(np.abs(start_directions), axis=1)]
-    )
-    fallback_directions /= np.linalg.norm(fallback_directions, axis=1)[:, None]
+    fallbacks = np.cross(starts, np.eye(3)[np.argmin(np.abs(starts), axis=1)])
+    fallbacks /= np.linalg.norm(fallbacks, axis=1)[:, None]
     is_parallel = norm < _MIN_SINE
     directions: Array = np.where(
-        is_parallel[:, None],
-        fallback_directions,
-        projection / np.where(is_parallel, 1.0, norm)[:, None],
+        is_parallel[:, None], fallbacks, projection / np.where(is_parallel, 1.0, norm)[:, None]
     )
     return directions
 
@@ -112,11 +98,8 @@ def indicated_forces(
     """
     assert campaign.triad is not None
     assert campaign.simulation is not None
-    names, coefficients_by_name = (
-        campaign.triad.accelerometers,
-        campaign.simulation.truth.coefficients,
-    )
-    coefficients = [coefficients_by_name.get(name, {}) for name in names]
+    names, truth = campaign.triad.accelerometers, campaign.simulation.truth.coefficients
+    coefficients = [truth.get(name, {}) for name in names]
     axes = np.array([campaign.accelerometers[name].mounting.matrix for name in names])
     reference = reference_point(campaign)
     temperature_offsets = (
@@ -128,7 +111,7 @@ def indicated_forces(
     for start in range(0, len(times), _CHUNK_ROWS):
         chunk_times = times[start : start + _CHUNK_ROWS]
         chunk_size = len(chunk_times)
-        chunk_poses = TriadPoses(
+        poses = TriadPoses(
             accelerometers=names,
             names=("",) * chunk_size,
             axes=axes,
@@ -144,8 +127,6 @@ def indicated_forces(
             scatter=np.zeros(chunk_size),
             in_si=np.zeros((chunk_size, 3)),
         )
-        chunks.append(
-            predict_indications(chunk_poses, coefficients, force[start : start + chunk_size])
-        )
+        chunks.append(predict_indications(poses, coefficients, force[start : start + chunk_size]))
     forces = campaign.site.gravity * np.concatenate(chunks)
     return dict(zip(names, forces.T, strict=True))

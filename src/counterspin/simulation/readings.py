@@ -65,8 +65,8 @@ def compute_indications(
 
 def _effective_coefficients(group: Readings, coefficients: Mapping[str, float]) -> Array:
     """Return the coefficients under the conditions of each reading, shape (n, terms)."""
-    nominal_values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
-    effective_coefficients = np.tile(nominal_values, (group.size, 1))
+    reference_values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
+    effective_coefficients = np.tile(reference_values, (group.size, 1))
     for symbol, value in coefficients.items():
         if condition_of(symbol):
             index = list(TERMS).index(coefficient_of(symbol))
@@ -98,17 +98,17 @@ def rate_errors(campaign: Campaign) -> Array:
 def draw_by_run(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
     """Return standard normal numbers, shape (n,), equal for all accelerometers of a run."""
     draws: dict[tuple[str, int], float] = {}
-    drawn_numbers = np.zeros(len(readings))
-    first_indices: Counter[tuple[str, str]] = Counter()
+    numbers = np.zeros(len(readings))
+    counts: Counter[tuple[str, str]] = Counter()
     for index, reading in enumerate(readings):
         # Several readings of a table may have the same name; each is a separate position.
         key = (reading.accelerometer, reading.name)
-        position = (reading.name, first_indices[key])
-        first_indices[key] += 1
+        position = (reading.name, counts[key])
+        counts[key] += 1
         if position not in draws:
             draws[position] = float(generator.standard_normal())
-        drawn_numbers[index] = draws[position]
-    return drawn_numbers
+        numbers[index] = draws[position]
+    return numbers
 
 
 def positioning_uncertainties(campaign: Campaign) -> dict[str, float]:
@@ -120,10 +120,8 @@ def positioning_uncertainties(campaign: Campaign) -> dict[str, float]:
 def true_machine(campaign: Campaign) -> dict[str, float]:
     """Return the true machine terms, including random positioning errors."""
     assert campaign.simulation is not None
-    generator, uncertainties = (
-        reading_generator(campaign, 0, 1),
-        positioning_uncertainties(campaign),
-    )
+    generator = reading_generator(campaign, 0, 1)
+    uncertainties = positioning_uncertainties(campaign)
     errors = {symbol: u * float(generator.standard_normal()) for symbol, u in uncertainties.items()}
     return errors | dict(campaign.simulation.truth.machine)
 
@@ -494,10 +492,8 @@ def fill_table(
         for view, name, columns in row_columns:
             reading = next(row_readings)
             output = outputs[name]
-            stated_u = view.u(row, name, ()) or 0.0
+            u = view.u(row, name, ()) or 0.0
             for column in [column for column in columns if not is_empty(row[column])] or columns:
                 scale = (output.sensitivity, output.zero) if output else (1.0, 0.0)
-                values[column][index] = _noisy_reading(
-                    campaign, reading, scale, stated_u, generator
-                )
+                values[column][index] = _noisy_reading(campaign, reading, scale, u, generator)
     return path, frame.with_columns([pl.Series(column, cells) for column, cells in values.items()])

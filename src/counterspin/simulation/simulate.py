@@ -109,15 +109,12 @@ def simulate(
     folder = Path(folder)
     targets = _record_targets(campaign, folder)
     readings, head_errors = true_readings(campaign)
-    noise, noiseless_readings = (
-        reading_generator(campaign, 1),
-        NoiselessReadings(readings, true_poses(campaign)),
-    )
+    noiseless_readings = NoiselessReadings(readings, true_poses(campaign))
+    generator = reading_generator(campaign, 1)
     has_readings = bool(readings or noiseless_readings.poses)
-    text = fill_description(campaign, noiseless_readings, noise) if has_readings else None
-    if (
-        table := fill_table(campaign, noiseless_readings, noise) if has_readings else None
-    ) is not None:
+    text = fill_description(campaign, noiseless_readings, generator) if has_readings else None
+    table = fill_table(campaign, noiseless_readings, generator) if has_readings else None
+    if table is not None:
         targets = (*targets, *_targets_in_folder(campaign, folder, {"readings.file": table[0]}))
     if text is None and campaign.source is not None and campaign.source.in_memory:
         text = campaign.source.text
@@ -158,9 +155,8 @@ def simulate(
     for target, static_record in static_records.items():
         copy_record(static_record, target, overwrite=overwrite)
     for n_written, (frame, target) in enumerate(zip(frames, targets, strict=True), start=1):
-        write_atomically(
-            target, partial(WRITERS[target.suffix.lower()], frame), overwrite=overwrite
-        )
+        write_frame = partial(WRITERS[target.suffix.lower()], frame)
+        write_atomically(target, write_frame, overwrite=overwrite)
         if progress is not None:
             progress(n_written, len(targets))
     return targets
@@ -203,12 +199,10 @@ def _simulate_in_memory(campaign: Campaign) -> Campaign:
             ["readings: the simulation of a readings table requires an output folder"],
         )
     readings, head_errors = true_readings(campaign)
-    noise, noiseless_readings = (
-        reading_generator(campaign, 1),
-        NoiselessReadings(readings, true_poses(campaign)),
-    )
+    noiseless_readings = NoiselessReadings(readings, true_poses(campaign))
+    generator = reading_generator(campaign, 1)
     has_readings = bool(readings or noiseless_readings.poses)
-    text = fill_description(campaign, noiseless_readings, noise) if has_readings else None
+    text = fill_description(campaign, noiseless_readings, generator) if has_readings else None
     if text is not None:
         source = replace(source, document=parse_toml(text))
     files: dict[Path, None] = dict.fromkeys(run.record for run in campaign.runs)
@@ -269,10 +263,8 @@ def _simulate_mean_records(campaign: Campaign, head_errors: Array) -> Iterator[p
                     columns[campaign.angle.name] = campaign.angle.to_file_units(angle)
                 columns |= _temperature_column(campaign.temperature, reading.temperature, times)
             observable = accelerometer.observable
-            noise_model = Noise.from_sizes(noise, observable).without_bias_instability
-            signal = add_noise(
-                generator, times, signal, noise_model, observation.ORDERS[observable]
-            )
+            model = Noise.from_sizes(noise, observable).without_bias_instability
+            signal = add_noise(generator, times, signal, model, observation.ORDERS[observable])
             channel = accelerometer.channel
             columns[channel.name] = channel.to_file_units(signal * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
@@ -292,15 +284,13 @@ def _simulate_pose_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
             timestamps = add_white_noise(generator, times, noise["timing"])
             columns[campaign.time.name] = timestamps / campaign.time.factor
         columns |= _temperature_column(campaign.temperature, record.temperature, times)
-        signals = indicated_forces(apply_true_inputs(campaign), record, times, force)
-        noise_model = Noise.from_sizes(noise, "specific_force").without_bias_instability
-        for name, signal in signals.items():
+        indications = indicated_forces(apply_true_inputs(campaign), record, times, force)
+        model = Noise.from_sizes(noise, "specific_force").without_bias_instability
+        for name, indication in indications.items():
             channel = campaign.accelerometers[name].force
             assert channel is not None
-            noisy_signal = add_noise(generator, times, signal, noise_model, SPECIFIC_FORCE)
-            columns[channel.name] = channel.to_file_units(
-                noisy_signal * gravity_ratio(campaign, channel)
-            )
+            signal = add_noise(generator, times, indication, model, SPECIFIC_FORCE)
+            columns[channel.name] = channel.to_file_units(signal * gravity_ratio(campaign, channel))
         yield pl.DataFrame(columns)
 
 
@@ -373,9 +363,7 @@ def _targets_in_folder(
     return tuple(targets)
 
 
-def simulate_run(
-    campaign: Campaign, run: Run, generator: np.random.Generator
-) -> Mapping[str, Array]:
+def simulate_run(campaign: Campaign, run: Run, generator: np.random.Generator) -> dict[str, Array]:
     """Return the columns of the record of a run, in the units of its channels.
 
     Returns: column name -> values, shape (n,): time, angle (if recorded), temperature (if
@@ -395,16 +383,14 @@ def simulate_run(
     )
     times = np.arange(sample_count(run.duration, sampling_rate)) / sampling_rate
     noise = simulated_noise(campaign)
-    timestamps = add_white_noise(
-        generator, times * clock_ratio(campaign, recording), noise["timing"]
-    )
+    clock_scale = clock_ratio(campaign, recording)
+    timestamps = add_white_noise(generator, times * clock_scale, noise["timing"])
     columns = {recording.time.name: timestamps / recording.time.factor}
     if recording.angle is not None:
         angle_delay = true_campaign.timing_offset.value if true_campaign.timing_offset else 0.0
         angle = run_truth.spindle.angle(times + angle_delay)
-        angle = add_white_noise(
-            generator, angle + encoder_error(run_truth.shared, angle), noise["angle"]
-        )
+        angle = angle + encoder_error(run_truth.shared, angle)
+        angle = add_white_noise(generator, angle, noise["angle"])
         columns[recording.angle.name] = recording.angle.to_file_units(angle)
     columns |= _temperature_column(recording.temperature, run.temperature, times)
     signals = _simulate_outputs(true_campaign, run, trajectory, times)
@@ -444,9 +430,8 @@ def _simulate_outputs(
         signals[name] = signal + _start_error(truth, name, times, accelerometer.observable)
     if not campaign.own_velocity:
         return signals
-    site = replace(
-        campaign.site, removed_gravity=None
-    )  # the residual gravity also affects its velocity
+    # The residual gravity also affects the velocity of the navigation computer.
+    site = replace(campaign.site, removed_gravity=None)
     perturbed_trajectory = perturb_trajectory(replace(trajectory, site=site), platform_values)
     errors = []
     for name, accelerometer in campaign.accelerometers.items():
