@@ -55,10 +55,8 @@ class Case:
             if self.absolute_tolerance is None
             else self.absolute_tolerance
         )
-        absolute_tolerance = limit if isinstance(limit, float | int) else limit[name]
-        return np.asarray(absolute_tolerance) + self.relative_tolerance * np.abs(
-            self.expected[name]
-        )
+        tolerance = limit if isinstance(limit, float | int) else limit[name]
+        return np.asarray(tolerance) + self.relative_tolerance * np.abs(self.expected[name])
 
 
 @cache
@@ -149,12 +147,11 @@ def _expected_forces(inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _expected_estimates(inputs: Mapping[str, Any]) -> dict[str, Any]:
-    accelerometer = load_document(inputs["file"])["result"]["accelerometers"][
-        inputs["accelerometer"]
-    ]
+    accelerometers = load_document(inputs["file"])["result"]["accelerometers"]
+    coefficients = accelerometers[inputs["accelerometer"]]["coefficients"]
     return {
         symbol: [coefficient["value"], coefficient["u"]]
-        for symbol, coefficient in accelerometer["coefficients"].items()
+        for symbol, coefficient in coefficients.items()
     }
 
 

@@ -110,7 +110,7 @@ def fitted_values(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
             ]
             matrix = np.array(accelerometer.correlation.matrix)[np.ix_(indices, indices)]
             values[f"correlation of {name}"] = matrix.ravel()
-    return {name: np.array(values, np.float64) for name, values in values.items()}
+    return {name: np.array(numbers, np.float64) for name, numbers in values.items()}
 
 
 def _coefficient_values(coefficient: Coefficient) -> list[float | None]:
@@ -172,13 +172,10 @@ def verify_signatures(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 def certified_estimates(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
     """Return value and u of each term in the certificate of a result."""
-    certificate = module.read_certificate(
-        make_certificate(inputs["file"]), "the certificate of the case"
-    )
-    coefficients = certificate.accelerometers[inputs["accelerometer"]].coefficients
-    return {
-        symbol: [coefficient.value, coefficient.u] for symbol, coefficient in coefficients.items()
-    }
+    xml = make_certificate(inputs["file"])
+    document = module.read_certificate(xml, "the certificate of the case")
+    estimates = document.accelerometers[inputs["accelerometer"]].coefficients
+    return {symbol: [coefficient.value, coefficient.u] for symbol, coefficient in estimates.items()}
 
 
 _COEFFICIENT_UNITS: Final = {"K_F": "g", "delta_O": "rad", "delta_P": "rad"}
@@ -241,10 +238,8 @@ def certificate_values(_: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 def corrected_forces(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
     """Return corrected specific forces and their standard uncertainties."""
-    case_data, result = (
-        load_document(inputs["file"]),
-        deepcopy(load_document("certified.json")["result"]),
-    )
+    case_data = load_document(inputs["file"])
+    result = deepcopy(load_document("certified.json")["result"])
     template = result["accelerometers"]["Qx"] | {"known": {}, "budget": {}}
     accelerometers = {}
     for name, table in case_data["coefficients"].items():
@@ -270,9 +265,8 @@ def corrected_forces(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
             "axes": _ACCELEROMETER_AXES[name],
         }
     result = Result.model_validate(result | {"accelerometers": accelerometers})
-    correction = module.apply(
-        result, "Qx", inputs["indicated"], module.ApplyOptions(**inputs["options"])
-    )
+    options = module.ApplyOptions(**inputs["options"])
+    correction = module.apply(result, "Qx", inputs["indicated"], options)
     return {"corrected": correction.corrected, "u": correction.u}
 
 

@@ -81,10 +81,8 @@ def _run_forces(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.physics.accelerometer import Mounting
     from counterspin.physics.motion import Site
 
-    reference, mounting = (
-        load_document(inputs["file"]),
-        Mounting.from_axes(*(module.FRAMES["arm"][name] for name in ("outward", "up"))),
-    )
+    reference = load_document(inputs["file"])
+    mounting = Mounting.from_axes(*(module.FRAMES["arm"][name] for name in ("outward", "up")))
     forces = []
     for position in compared_positions(inputs):
         tilt = tuple(float(position.get(axis, 0.0)) for axis in ("east", "north"))
@@ -224,9 +222,8 @@ def _run_random_walk(module: Any, inputs: Inputs) -> Outputs:
 
 
 def _run_estimate_noise(module: Any, inputs: Inputs) -> Outputs:
-    return (
-        _run_random_walk(module, inputs) if "file" in inputs else _run_white_noise(module, inputs)
-    )
+    run = _run_random_walk if "file" in inputs else _run_white_noise
+    return run(module, inputs)
 
 
 def _quotient_estimates(inputs: Inputs) -> tuple[dict[str, Any], Array]:
@@ -260,21 +257,14 @@ def _quotient_estimates(inputs: Inputs) -> tuple[dict[str, Any], Array]:
 def _run_convert_to_si(module: Any, inputs: Inputs) -> Outputs:
     estimates = _quotient_estimates(inputs)[0] if "observations" in inputs else {"": inputs}
     outputs = dict[str, Any]()
-    for name, given_estimate in estimates.items():
-        gravity = module.StatedGravity(**given_estimate["gravity"])
-        si_estimate = module.convert_to_si(
-            given_estimate["value"],
-            given_estimate["u"],
-            given_estimate["unit"],
-            given_estimate.get("dof"),
-            gravity,
+    for name, entry in estimates.items():
+        gravity = module.StatedGravity(**entry["gravity"])
+        si = module.convert_to_si(
+            entry["value"], entry["u"], entry["unit"], entry.get("dof"), gravity
         )
-        outputs |= {
-            name or "value": si_estimate.value,
-            f"u({name})" if name else "u": si_estimate.u,
-        }
-        if si_estimate.dof is not None:
-            outputs["dof"] = si_estimate.dof
+        outputs |= {name or "value": si.value, f"u({name})" if name else "u": si.u}
+        if si.dof is not None:
+            outputs["dof"] = si.dof
     return outputs
 
 
@@ -283,22 +273,18 @@ def _run_covariance(module: Any, inputs: Inputs) -> Outputs:
     from counterspin.calibration.si_estimates import StatedGravity, convert_to_si
 
     if "observations" in inputs:
-        given_estimates, correlation_matrix = _quotient_estimates(inputs)
+        entries, correlation_matrix = _quotient_estimates(inputs)
     else:
-        given_estimates, correlation_matrix = inputs["estimates"], np.array(inputs["correlation"])
+        entries, correlation_matrix = inputs["estimates"], np.array(inputs["correlation"])
     estimates = {
         name: convert_to_si(
-            given_estimate["value"],
-            given_estimate["u"],
-            given_estimate["unit"],
-            None,
-            StatedGravity(**given_estimate["gravity"]),
+            entry["value"], entry["u"], entry["unit"], None, StatedGravity(**entry["gravity"])
         )
-        for name, given_estimate in given_estimates.items()
+        for name, entry in entries.items()
     }
-    correlation = Correlation(terms=list(given_estimates), matrix=correlation_matrix.tolist())
+    correlation = Correlation(terms=list(entries), matrix=correlation_matrix.tolist())
     outputs = dict[str, Any]()
-    for first, second in combinations(given_estimates, 2):
+    for first, second in combinations(entries, 2):
         covariance = module.covariance(correlation, estimates, first, second)
         scale = estimates[first].u * estimates[second].u if "observations" in inputs else 1.0
         outputs[f"{first}, {second}"] = covariance / scale
