@@ -70,8 +70,8 @@ def second_stage_rows() -> tuple[Row, ...]:
     plan_runs = simulate_runs()
     printed_runs = _replace_sigma_b2(plan_runs, PRINTED_SIGMA_B2)
 
-    def k_ii_uncertainty(second_stage_result: SecondStage) -> float:
-        return second_stage_result.estimate("K_II")[1]
+    def k_ii_uncertainty(result: SecondStage) -> float:
+        return result.estimate("K_II")[1]
 
     u_k_ii = k_ii_uncertainty(_fit_printed_second_stage(printed_runs))
     u_with_standard_gravity = k_ii_uncertainty(
@@ -185,9 +185,7 @@ def recovery_rows() -> tuple[Row, ...]:
 def ripple_rows() -> tuple[Row, ...]:
     """Return the rows of the effect of a ripple column, and of the effects that it absorbs."""
     true_k_ii = TABLE_1["K_II"]
-    printed_columns = as_printed.second_stage_columns(
-        np.array(RATES), RADIUS, GRAVITY, TABLE_1["K_I"]
-    )
+    eq26_columns = as_printed.second_stage_columns(np.array(RATES), RADIUS, GRAVITY, TABLE_1["K_I"])
     exact_column = np.array([parabola("K_II", QX, rate, RADIUS, GRAVITY) for rate in RATES])
     runs, drifting_runs = simulate_runs(), simulate_runs(uses_nominal_angle=True, drift=DRIFT_RATE)
 
@@ -197,10 +195,8 @@ def ripple_rows() -> tuple[Row, ...]:
         fit = least_squares.fit(design, curvatures, [run.parabola.u_b2 for run in runs])
         return float(fit.estimate[0]), float(fit.u[0])
 
-    fit_without_ripple, fit_with_ripple = (
-        fit_k_ii(exact_column[:, None]),
-        fit_k_ii(np.column_stack([exact_column, printed_columns[:, 1]])),
-    )
+    fit_without_ripple = fit_k_ii(exact_column[:, None])
+    fit_with_ripple = fit_k_ii(np.column_stack([exact_column, eq26_columns[:, 1]]))
     ratio_fit = _fit_printed_second_stage(runs, ripple="ratio")
     drift_label = f"drift of {DRIFT_RATE:g} 1/s instead of ripple, nominal angle:"
     return (
@@ -225,7 +221,7 @@ def ripple_rows() -> tuple[Row, ...]:
             "separation.printed_without",
             "with ripple: K_II by Eq. 26 without its second column",
             true_k_ii,
-            fit_k_ii(printed_columns[:, :1])[0],
+            fit_k_ii(eq26_columns[:, :1])[0],
             "g/g^2",
             "half the true value with or without this column",
         ),

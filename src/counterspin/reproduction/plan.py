@@ -101,9 +101,8 @@ PRINTED_BOUND: Final = 5e-7  #: g/g^2, section 3: upper bound of the uncertainti
 # Data not stated by the paper
 GRAVITY: Final = 9.8  #: m/s^2; the common value that agrees best
 STANDARD_GRAVITY: Final = 9.80665  #: m/s^2
-SITE: Final = Site(
-    GRAVITY, latitude=0.0, earth_rate=0.0
-)  #: the paper neglects the rotation of the Earth
+#: The paper neglects the rotation of the Earth.
+SITE: Final = Site(GRAVITY, latitude=0.0, earth_rate=0.0)
 DRIFT_RATE: Final = 1e-7  #: 1/s; the paper names C but gives no value
 RADIUS_ERROR: Final = 1e-5  #: m; the paper names delta r but gives no value
 
