@@ -209,18 +209,12 @@ class CandidateSet:
         scale, noise_covariance, considered_moments = self._scaled_moments(n)
         if np.max(np.diag(noise_covariance) / scale**2) > _MAX_VARIANCE_RATIO:
             return self.value(criterion, n + np.eye(n.size))
-        indices, design_transpose = list(criterion.indices), np.swapaxes(self.design, 1, 2)
+        indices, transpose = list(criterion.indices), np.swapaxes(self.design, 1, 2)
         projection = self.design @ noise_covariance
-        gain = np.linalg.solve(
-            np.eye(projection.shape[1]) + projection @ design_transpose, projection
-        )
-        updated_rows = (
-            noise_covariance[indices] - np.swapaxes(projection[..., indices], 1, 2) @ gain
-        )
-        contributions = (
-            updated_rows @ considered_moments + updated_rows @ design_transpose @ self.considered
-        )
-        covariance = updated_rows[..., indices] + contributions @ np.swapaxes(contributions, 1, 2)
+        gain = np.linalg.solve(np.eye(projection.shape[1]) + projection @ transpose, projection)
+        new_rows = noise_covariance[indices] - np.swapaxes(projection[..., indices], 1, 2) @ gain
+        contributions = new_rows @ considered_moments + new_rows @ transpose @ self.considered
+        covariance = new_rows[..., indices] + contributions @ np.swapaxes(contributions, 1, 2)
         return replace(criterion, indices=tuple(range(len(indices)))).value(covariance)
 
     def _scaled_moments(self, counts: Array) -> tuple[Array, Array, Array]:
@@ -235,9 +229,7 @@ class CandidateSet:
             moments = rows[:, :p].T @ rows
         else:
             moments = np.tensordot(counts, np.swapaxes(self.design, 1, 2) @ columns, axes=1)
-        moments = moments + self.prior_design.T @ np.hstack(
-            [self.prior_design, self.prior_considered]
-        )
+        moments += self.prior_design.T @ np.hstack([self.prior_design, self.prior_considered])
         diagonal = np.arange(p)
         # Without scaling, columns of very different magnitude would lose precision.
         scale = 1.0 / np.sqrt(moments[..., diagonal, diagonal])

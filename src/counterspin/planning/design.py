@@ -287,9 +287,7 @@ def _separate_rates(design: Design, limits: Limits) -> Design | None:
     if len(rates) < limits.min_rates or limits.min_rates > limits.max_runs:
         return None
     while len(design.types) < limits.min_rates:
-        design = design.concatenate(
-            Design(design.types[:1], design.rate[:1], design.revolutions[:1])
-        )
+        design = design.concatenate(design.select([0]))
     rate = design.rate.copy()
     order = np.argsort(-rate, kind="stable")
     rate[order[0]] = rates[0]

@@ -89,9 +89,7 @@ def fault_requirements(
     sampling_rate: Hz.
     """
     campaign = prediction.campaign
-    path_faults = [
-        path_fault(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")
-    ]
+    path_faults = list(map(path_fault, ("encoder.harmonic.1", "centrifuge.imbalance.1")))
     # A fit that estimates a fault would absorb it, so these terms are removed.
     symbols = {fault_term.symbol for fault in path_faults for fault_term in fault.terms}
     full_fit = prediction.fit
@@ -209,11 +207,9 @@ class Fault:
     response: Callable[[Observation], Array] | None = None
 
 
-def _make_family_fault(symbol: str, fault_terms: Sequence[Considered], size: float) -> Fault:
-    row = term(fault_terms[0].symbol)
-    return Fault(
-        symbol, row.words_of_family, size, row.unit, tuple(fault_terms), is_per_run=row.per_run
-    )
+def _make_family_fault(symbol: str, terms: Sequence[Considered], size: float) -> Fault:
+    row = term(terms[0].symbol)
+    return Fault(symbol, row.words_of_family, size, row.unit, tuple(terms), is_per_run=row.per_run)
 
 
 def possible_faults(campaign: Campaign, name: str) -> list[Fault]:
@@ -327,9 +323,7 @@ def fault_sensitivities(
         ):
             batches.append([])
         batches[-1].append(fault)
-    return [
-        response for batch in batches for response in _batch_sensitivities(fit, batch, expected)
-    ]
+    return [effect for batch in batches for effect in _batch_sensitivities(fit, batch, expected)]
 
 
 def _batch_sensitivities(
@@ -397,4 +391,4 @@ def undetected_faults(
             )
     mean_share = float(mean_response.shifts[k_ii_index, 0] / square_response.shifts[k_ii_index, 0])
     harmonic_share = None if campaign.readings else 1.0 - mean_share
-    return harmonic_share, sorted(effects, key=lambda response: -response.shift)
+    return harmonic_share, sorted(effects, key=lambda effect: -effect.shift)

@@ -118,7 +118,7 @@ def forecast(
     campaign = source if isinstance(source, Campaign) else read_campaign(source)
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
-    _require_forecast_data(campaign, sampling_rate)
+    _require_data(campaign, sampling_rate)
     model = model or make_unknowns(campaign)
     if expected is None:
         expected = expected_values(campaign, model.unknowns)
@@ -146,9 +146,7 @@ def forecast(
     return Forecast(campaign, solve_joint([*design_blocks, *linear_readings], full_model, noise))
 
 
-def _require_forecast_data(
-    campaign: Campaign, sampling_rate: float | Mapping[str, float] | None
-) -> None:
+def _require_data(campaign: Campaign, sampling_rate: float | Mapping[str, float] | None) -> None:
     problems = [
         f"runs[{index}]: neither duration nor revolutions are given; a prediction requires one "
         f'of them (run "{run.name}")'
@@ -221,11 +219,9 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     block_length = block_size(sample_interval, run.rate * max(1.0, abs(run.table_ratio)))
     n_samples = sample_count(run.duration, sampling_rate)
     # As in the reduction of a record, the last block may be shorter.
-    block_starts = np.arange(0, n_samples, block_length)
-    block_counts = np.minimum(block_length, n_samples - block_starts).astype(np.float64)
-    times = np.asarray(
-        (block_starts + 0.5 * (block_counts - 1.0)) * sample_interval, dtype=np.float64
-    )
+    starts = np.arange(0, n_samples, block_length)
+    counts = np.minimum(block_length, n_samples - starts).astype(np.float64)
+    times = np.asarray((starts + 0.5 * (counts - 1.0)) * sample_interval, dtype=np.float64)
     noise = _resolve_noise_sizes(campaign, name)
     timing_noise = float(noise.get("timing", 0.0))
     encoder_noise = float(noise.get("angle", 0.0))
@@ -244,13 +240,13 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         observable=accelerometer.observable,
         attitude=run.attitude,
         time=times,
-        time_sd=sample_interval * np.sqrt((block_counts**2 - 1.0) / 12.0),
-        count=block_counts,
+        time_sd=sample_interval * np.sqrt((counts**2 - 1.0) / 12.0),
+        count=counts,
         spacing=sample_interval,
         error=np.zeros_like(times),
         in_g=accelerometer.channel.in_g,
         recorder=campaign.recording_of(run).recorder,
-        angle_error=forecast_angle_error(times, run.rate, angle_noise, block_counts)
+        angle_error=forecast_angle_error(times, run.rate, angle_noise, counts)
         if campaign.angle is not None and angle_noise > 0.0
         else None,
         timestamp_errors=TimestampErrors(
@@ -271,23 +267,17 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     unknowns = make_unknowns(campaign).unknowns
     values = expected_values(campaign, unknowns).tolist()
     expected = dict(zip(unknowns, values, strict=True))
-    record = expected_record(series, expected, scale_factors(campaign)[name]).with_timestamp_noise(
-        timing_noise
-    )
-    return (
-        record.correct_times(record.timestamp_errors.prior[0])
-        if record.timestamp_errors
-        else record
-    )
+    record = expected_record(series, expected, scale_factors(campaign)[name])
+    record = record.with_timestamp_noise(timing_noise)
+    errors = record.timestamp_errors
+    return record.correct_times(errors.prior[0]) if errors else record
 
 
 def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unknown]) -> Array:
     """Return expected values of unknowns, minus nominal: the truth, else the prior, else zero."""
     truth = campaign.simulation.truth if campaign.simulation else None
     true_coefficients = truth.coefficients if truth else {}
-    platform_truth = (
-        {name: run_truth.shared for name, run_truth in truth.runs.items()} if truth else {}
-    )
+    platform_truth = {name: run.shared for name, run in truth.runs.items()} if truth else {}
     values = []
     for unknown in unknowns:
         true_value = true_coefficients.get(unknown.owner, {}).get(unknown.symbol)

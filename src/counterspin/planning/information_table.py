@@ -123,7 +123,7 @@ _KERNEL: Final = (
     ((-6.0, 3, 0), (-5.0, 1, 1)),
     ((24.0, 4, 0), (28.0, 2, 1), (5.0, 0, 2)),
 )
-_BINOMIAL_COEFFICIENTS: Final = ((1,), (1, 1), (1, 2, 1), (1, 3, 3, 1), (1, 4, 6, 4, 1))
+_BINOMIALS: Final = ((1,), (1, 1), (1, 2, 1), (1, 3, 3, 1), (1, 4, 6, 4, 1))
 
 
 @frozen(eq=False)
@@ -152,7 +152,7 @@ def sqrt_information(samples: EvenSamples, weights: Array, n_start_errors: int) 
 
     weights: Combinations of the functions, shape (n, b, k).
     n_start_errors: Number of start errors, 0, 1 or 2: of the columns 1 and th, estimated per run.
-    Returns: shape (n, b - held, k).
+    Returns: shape (n, b - n_start_errors, k).
     """
     n_harmonics = weights.shape[1] // 4 - 1
     even, odd = center_weights(average_over_blocks(weights, samples.angle_sd), samples)
@@ -171,14 +171,13 @@ def sqrt_information(samples: EvenSamples, weights: Array, n_start_errors: int) 
             upper = np.swapaxes(lower, 1, 2)[:, n_dropped:]
             result[fine_runs, rows] = sqrt_count * (upper @ columns[fine_runs])
     for run in np.flatnonzero(is_coarse):
-        result[run] = _factor_samples(samples, run, even[run], odd[run], n_harmonics)[
-            n_start_errors:
-        ]
+        factor = _factor_samples(samples, run, even[run], odd[run], n_harmonics)
+        result[run] = factor[n_start_errors:]
     return result
 
 
 def average_over_blocks(weights: Array, angle_sd: Array) -> Array:
-    """Return the combinations averaged over the angles th - spread and th + spread."""
+    """Return the combinations averaged over the angles th - sd and th + sd."""
     is_averaged = angle_sd > 0.0
     if not is_averaged.any():
         return weights
@@ -198,16 +197,11 @@ def center_weights(weights: Array, samples: EvenSamples) -> tuple[Array, Array]:
     """
     centered = shift_angle_origin(weights, samples.mean_angle)
     half_width = samples.half_width[:, None, None]
-    trig = centered[:, 4:]
-    even = [
-        centered[:, :1],
-        half_width**2 * centered[:, 2:3],
-        trig[:, 0::4],
-        half_width * trig[:, 3::4],
-    ]
+    poly, trig = centered[:, :4], centered[:, 4:]
+    even = [poly[:, :1], half_width**2 * poly[:, 2:3], trig[:, 0::4], half_width * trig[:, 3::4]]
     odd = [
-        half_width * centered[:, 1:2],
-        half_width**3 * centered[:, 3:4],
+        half_width * poly[:, 1:2],
+        half_width**3 * poly[:, 3:4],
         trig[:, 1::4],
         half_width * trig[:, 2::4],
     ]
@@ -231,9 +225,7 @@ def _moments(step: Array, count: Array, max_harmonic: int) -> Array:
     result = np.zeros((len(step), 7, max_harmonic + 1))
     sign = (1.0, -1.0, -1.0, 1.0, 1.0)
     for p in range(5):
-        terms = (
-            _BINOMIAL_COEFFICIENTS[p][j] * derivatives[p - j] * kernel[j] for j in range(p + 1)
-        )
+        terms = (_BINOMIALS[p][j] * derivatives[p - j] * kernel[j] for j in range(p + 1))
         result[:, p, 1:] = sign[p] * sum(terms)
     e = e[:, 0]
     result[:, 0, 0] = 1.0

@@ -37,14 +37,11 @@ def active_limits(search: Search, design: Design) -> list[LimitResult]:
     results = []
     for limit in _candidate_limits(search, design):
         if limit.is_active:
-            gain = _relaxation_gain(
-                search, limit.key, replace(search.limits, **limit.changes), design
-            )
-            if gain > MIN_GAIN or limit.key == "senses":
-                is_binding = gain > MIN_GAIN
-                results.append(
-                    LimitResult(key=limit.key, words=limit.text, binds=is_binding, gain=gain)
-                )
+            limits = replace(search.limits, **limit.changes)
+            gain = _relaxation_gain(search, limit.key, limits, design)
+            binds = gain > MIN_GAIN
+            if binds or limit.key == "senses":
+                results.append(LimitResult(key=limit.key, words=limit.text, binds=binds, gain=gain))
     return sorted(results, key=lambda result: -result.gain)
 
 

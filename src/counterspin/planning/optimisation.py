@@ -113,9 +113,7 @@ def _attitude_subsets(limits: Limits) -> Iterator[Limits]:
             )
 
 
-def _integer_starts(
-    design: Design, relaxed_optimum: Optimum[Array], limits: Limits
-) -> Iterator[Design]:
+def _integer_starts(design: Design, optimum: Optimum[Array], limits: Limits) -> Iterator[Design]:
     """Yield starts with integer numbers of runs in place of the relaxed weights.
 
     design: Support of the relaxation.
@@ -124,22 +122,17 @@ def _integer_starts(
     for index, (run_type, rate) in enumerate(zip(design.types, design.rate, strict=True)):
         rate_key = float(rate) if limits.rate_settings else float(round(8.0 * math.log(rate)))
         groups.setdefault((run_type, rate_key), []).append(index)
-    group_weights = np.array([relaxed_optimum.design[index].sum() for index in groups.values()])
+    group_weights = np.array([optimum.design[index].sum() for index in groups.values()])
     run_types = [run_type for run_type, _ in groups]
-    group_rates = np.array(
-        [design.rate[i[np.argmax(relaxed_optimum.design[i])]] for i in groups.values()]
-    )
+    group_rates = np.array([design.rate[i[np.argmax(optimum.design[i])]] for i in groups.values()])
     group_revolutions = np.array(
-        [
-            np.average(design.revolutions[i], weights=relaxed_optimum.design[i])
-            for i in groups.values()
-        ]
+        [np.average(design.revolutions[i], weights=optimum.design[i]) for i in groups.values()]
     )
     total_weight = float(group_weights.sum())
     run_totals = {
         min(limits.max_runs, max(1, n)) for n in (math.floor(total_weight), math.ceil(total_weight))
     }
-    run_totals |= {limits.max_runs} if relaxed_optimum.shadow_price > 0.0 else set()
+    run_totals |= {limits.max_runs} if optimum.shadow_price > 0.0 else set()
     allocations = [
         _round_by_largest_remainder(group_weights, count)
         for count in sorted(run_totals, reverse=True)
@@ -276,15 +269,12 @@ def _neighbour_designs(design: Design, limits: Limits) -> Iterator[Design]:
         if n > 1:
             yield design.without(index)
     if n < limits.max_runs:
+        duration = float(np.median(design.duration))
         for run_type in limits.types:
-            rates = np.array(limits.rate_settings or limits.rate_range)
-            for rate in rates:
-                revolutions = max(
-                    limits.min_revolutions, float(np.median(design.duration)) * rate / 6.3
-                )
-                yield design.concatenate(
-                    Design((run_type,), np.array([rate]), np.array([revolutions]))
-                )
+            for rate in limits.rate_settings or limits.rate_range:
+                revolutions = max(limits.min_revolutions, duration * rate / 6.3)
+                addition = Design((run_type,), np.array([rate]), np.array([revolutions]))
+                yield design.concatenate(addition)
 
 
 def _order_runs(
@@ -341,9 +331,7 @@ def minimise_time(
 
     def worst_excess(design: Design) -> float:
         covariance = predictor.covariance(design.types, design.rate, design.revolutions)
-        return max(
-            float(single_criterion.value(covariance)) for single_criterion in single_criteria
-        )
+        return max(float(target.value(covariance)) for target in single_criteria)
 
     design = optimise(predictor, limits, sum_criterion, relaxed_predictor=relaxed_predictor).design
     if worst_excess(design) > 0.0 and len(single_criteria) > 1:
@@ -410,10 +398,8 @@ def polish_design(
     candidates = [polished_design]
     if limits.campaign_time(design) <= limits.total_time * (1.0 + 1e-9):
         candidates.append(design)
-    scored_designs = [
-        (predictor.value(criterion, candidate), candidate) for candidate in candidates
-    ]
-    return min(scored_designs, key=lambda pair: pair[0])
+    pairs = [(predictor.value(criterion, candidate), candidate) for candidate in candidates]
+    return min(pairs, key=lambda pair: pair[0])
 
 
 class _Variables:
@@ -522,12 +508,10 @@ def find_shortest_plan(
     variables = _Variables(limits, design)
 
     def target_margins(x: Array) -> tuple[Array, Array]:
-        trial_design = variables.design(x)
+        trial = variables.design(x)
         margins, gradients = [], []
         for criterion in single_criteria:
-            value, rate_gradient, revolution_gradient = predictor.sensitivities(
-                trial_design, criterion
-            )
+            value, rate_gradient, revolution_gradient = predictor.sensitivities(trial, criterion)
             margins.append(-value)
             gradients.append(-variables.join_gradients(rate_gradient, revolution_gradient))
         return np.array(margins), np.array(gradients)

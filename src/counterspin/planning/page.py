@@ -55,7 +55,7 @@ def plan_blocks(result: PlanResult) -> list[Block]:
 def _summary_blocks(result: PlanResult) -> Iterator[Block]:
     goal = result.goal
     goal_sizes = goal.sizes if goal else {_main_coefficient(result): 1.0}
-    u_texts, prior_sentences = [], []
+    u_texts, sentences = [], []
     for name in goal_sizes:
         owner, _, symbol = name.partition(".")
         coefficient = (
@@ -66,9 +66,7 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
         u_texts.append(f"u({_display_name(name)}) = {_format_u(coefficient)}")
         if owner in result.accelerometers:
             label = _display_name(name) if len(goal_sizes) > 1 else ""
-            prior_sentences.append(
-                default_prior_sentence(result.accelerometers[owner], symbol, label)
-            )
+            sentences.append(default_prior_sentence(result.accelerometers[owner], symbol, label))
     total_texts = [
         f"{count} {noun}{'s' * (count > 1)}"
         for count, noun in ((len(result.runs), "run"), (len(result.readings), "reading"))
@@ -76,7 +74,7 @@ def _summary_blocks(result: PlanResult) -> Iterator[Block]:
     ]
     total_texts += [_format_time(result.total_time)] if result.total_time > 0.0 else []
     yield Paragraph(f"{'; '.join(u_texts)}: {', '.join(total_texts)}.", "answer")
-    for sentence in (*prior_sentences, assumption_sentence(result)):
+    for sentence in (*sentences, assumption_sentence(result)):
         if sentence:
             yield Paragraph(sentence)
     if goal is not None:
@@ -108,7 +106,7 @@ def _optimality_sentence(goal: GoalResult, is_timed: bool) -> str:
         quantity = (
             "uncertainty"
             if goal.criterion == "sum"
-            else ("mean uncertainty (geometric mean from the covariance determinant)")
+            else "mean uncertainty (geometric mean from the covariance determinant)"
         )
         return f"No plan within these limits can reduce the {quantity} by {gain_text}."
     if is_timed:
@@ -254,9 +252,8 @@ def _budget_blocks(
     runs = {run.name for run in result.runs}
     for line in budget_lines:
         owner, _, term = line.source.partition(".")
-        lines_by_source.setdefault(
-            f"{term}, all runs" if owner in runs else line.source, []
-        ).append(line)
+        source = f"{term}, all runs" if owner in runs else line.source
+        lines_by_source.setdefault(source, []).append(line)
     rows = []
     for source, source_lines in lines_by_source.items():
         share = sum(line.share for line in source_lines)

@@ -142,7 +142,7 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
         )
     problems.check(PlanDocument, raw, ())
     settings = problems.check(LimitsSettings, table_of(raw, "limits"), ("limits",), gravity=None)
-    goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
+    goal_settings = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
     attitudes = _name_attitudes(settings.attitudes if settings else ["level"], problems)
     document = _campaign_document(raw, settings)
     document["noise"] = _reject_estimated_noise(table_of(document, "noise"), problems)
@@ -160,8 +160,8 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
     if campaign is not None:
         _check_noise(campaign, problems)
         limits = _resolve_limits(settings, attitudes, campaign, problems) if settings else None
-        goal_settings = resolve_goal(goal, campaign, problems) if goal else None
-        if settings is not None and limits is not None and goal_settings is not None:
+        goal = resolve_goal(goal_settings, campaign, problems) if goal_settings else None
+        if settings is not None and limits is not None and goal is not None:
             plan = Plan(
                 file.absolute(),
                 {**document, "truth": _complete_truth(document, campaign)},
@@ -169,7 +169,7 @@ def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) ->
                 attitudes,
                 limits,
                 settings.sampling_rate,
-                goal_settings,
+                goal,
             )
     if problems.lines or plan is None:
         raise campaign_error(file, problems.lines)
@@ -255,13 +255,11 @@ def _reject_estimated_noise(noise: Mapping[str, Any], problems: Problems) -> dic
 
 
 def _static_record_sizes(
-    campaign: Campaign, stated_noise: NoiseSettings, problems: Problems
+    campaign: Campaign, noise: NoiseSettings, problems: Problems
 ) -> dict[str, str]:
     """Return [noise] with the values of a record at rest, as strings with units."""
-    sizes = {
-        key: size for key, size in complete_noise_sizes(campaign, stated_noise).items() if size
-    }
-    for key in sizes.keys() & set(BIAS_COMPONENTS_BY_KEY) - stated_noise.model_fields_set:
+    sizes = {key: size for key, size in complete_noise_sizes(campaign, noise).items() if size}
+    for key in sizes.keys() & set(BIAS_COMPONENTS_BY_KEY) - noise.model_fields_set:
         unit = NOISE_UNITS[key]
         problems.add(
             ("noise", "from"),
@@ -297,7 +295,7 @@ def _resolve_limits(
     settings: LimitsSettings, attitudes: Iterable[str], campaign: Campaign, problems: Problems
 ) -> Limits | None:
     """Return the limits, or None after reporting their contradictions."""
-    error_count = len(problems.lines)
+    n_errors = len(problems.lines)
     rates = _resolve_rates(settings, campaign, problems)
     if rates is None:
         return None
@@ -362,7 +360,7 @@ def _resolve_limits(
             f"{min_revolutions:g} revolutions each",
             "plan-infeasible",
         )
-    return limits if len(problems.lines) == error_count else None
+    return limits if len(problems.lines) == n_errors else None
 
 
 def _rate_shortage_reason(limits: Limits) -> str:
@@ -439,26 +437,24 @@ def resolve_goal(
     if settings.target is not None and settings.criterion != "sum":
         problems.add(("goal", "criterion"), "does not apply to a target; omit it")
     kind: Literal["target", "minimise"] = "minimise" if settings.target is None else "target"
-    goal_entries = settings.target if settings.target is not None else settings.minimise
-    if goal_entries is None:
-        goal_entries = ["K_II"]
+    entries = settings.target if settings.target is not None else settings.minimise
+    if entries is None:
+        entries = ["K_II"]
     shared_unknowns = [
         unknown
         for unknown in make_unknowns(campaign).of_interest
         if unknown.owner not in _run_names(campaign)
     ]
-    error_count = len(problems.lines)
+    n_errors = len(problems.lines)
     sizes: dict[str, float] = {}
     units: set[str] = set()
-    names = list(goal_entries)
+    names = list(entries)
     if not names:
         problems.add(("goal", kind), "does not name a coefficient", "unknown-term")
     for index, name in enumerate(names):
-        path = ("goal", kind, name if isinstance(goal_entries, Mapping) else index)
-        matching_unknowns = [
-            unknown for unknown in shared_unknowns if name in (unknown.name, unknown.symbol)
-        ]
-        if not matching_unknowns:
+        path = ("goal", kind, name if isinstance(entries, Mapping) else index)
+        matches = [unknown for unknown in shared_unknowns if name in (unknown.name, unknown.symbol)]
+        if not matches:
             known_names = dict.fromkeys(
                 known_name
                 for unknown in shared_unknowns
@@ -469,21 +465,18 @@ def resolve_goal(
             )
             continue
         u_target: float | None = 1.0
-        if isinstance(goal_entries, Mapping):
-            u_target = _resolve_size(
-                goal_entries[name], matching_unknowns[0], campaign, path, problems
-            )
-        sizes |= {unknown.name: u_target for unknown in matching_unknowns if u_target is not None}
-        units |= {unit_of(unknown.symbol) for unknown in matching_unknowns}
-    if not isinstance(goal_entries, Mapping) and settings.criterion == "sum" and len(units) > 1:
+        if isinstance(entries, Mapping):
+            u_target = _resolve_size(entries[name], matches[0], campaign, path, problems)
+        sizes |= {unknown.name: u_target for unknown in matches if u_target is not None}
+        units |= {unit_of(unknown.symbol) for unknown in matches}
+    if not isinstance(entries, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(
             ("goal", kind),
             "the coefficients have different units; state equally important values of u, one for "
-            "each "
-            'coefficient, such as minimise = { K_II = "1e-8 g/g^2" }',
+            'each coefficient, such as minimise = { K_II = "1e-8 g/g^2" }',
             "missing-value",
         )
-    if len(problems.lines) > error_count:
+    if len(problems.lines) > n_errors:
         return None
     return GoalResult(kind=kind, criterion=settings.criterion, sizes=sizes)
 
@@ -524,9 +517,7 @@ def campaign_document(plan: Plan, runs: Sequence[Mapping[str, Any]], title: str)
     campaign_section = {"title": title, **table_of(document, "campaign")}
     sections = {key: value for key, value in document.items() if key not in ("schema", "campaign")}
     # The sections in the order of the example that `counterspin init` writes.
-    section_order = ("site", "centrifuge", "records", "accelerometers", "noise", "model", "runs")
+    order = ("site", "centrifuge", "records", "accelerometers", "noise", "model", "runs")
     sections["runs"] = [dict(run) for run in runs]
-    ordered_sections = {
-        key: sections[key] for key in (*section_order, *sections) if key in sections
-    }
+    ordered_sections = {key: sections[key] for key in (*order, *sections) if key in sections}
     return {"schema": document["schema"], "campaign": campaign_section, **ordered_sections}

@@ -51,9 +51,9 @@ _MAX_EXCHANGES: Final = 400
 #: Number of random starts, if the candidates are at most `_MAX_CANDIDATES_RANDOM_STARTS`.
 _MAX_CANDIDATES_RANDOM_STARTS: Final = 60
 _N_RANDOM_STARTS: Final = 6
-#: Number of random starts for at most `_SMALL_COUNT` readings, with more local optima.
+#: Number of random starts for at most `_SMALL_COUNT` readings, which have more local optima.
 _SMALL_COUNT: Final = 12
-_N_RANDOM_STARTS_SMALL_COUNT: Final = 60
+_N_SMALL_PLAN_STARTS: Final = 60
 _ROUNDING_SEED: Final = 1
 
 #: Relative tolerance of a target.
@@ -88,13 +88,10 @@ def _initial_counts(
     weights: Relaxed counts, shape (n,).
     """
     rounded_weights = np.floor(weights + 1e-6).astype(np.int64)
-    n_random_starts = (
-        _N_RANDOM_STARTS_SMALL_COUNT if max_count <= _SMALL_COUNT else _N_RANDOM_STARTS
-    )
-    rng, n_random_starts = (
-        np.random.default_rng(_ROUNDING_SEED),
-        n_random_starts if weights.size <= _MAX_CANDIDATES_RANDOM_STARTS else 0,
-    )
+    n_random_starts = _N_SMALL_PLAN_STARTS if max_count <= _SMALL_COUNT else _N_RANDOM_STARTS
+    if weights.size > _MAX_CANDIDATES_RANDOM_STARTS:
+        n_random_starts = 0
+    rng = np.random.default_rng(_ROUNDING_SEED)
     # Rounded counts; zeros, to which exchanges add readings one by one; random rounding.
     starts = [
         rounded_weights.copy(),
@@ -158,10 +155,8 @@ def _allows_addition(
     candidates: CandidateSet, counts: Counts, max_count: float, max_time: float
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the candidates that can be added within the limits, shape (n,)."""
-    total_cost = float(candidates.cost @ counts) + candidates.cost
-    return np.asarray(
-        (float(counts.sum()) + 1.0 <= max_count) & (total_cost <= max_time * (1.0 + 1e-12))
-    )
+    time = float(candidates.cost @ counts) + candidates.cost
+    return np.asarray((float(counts.sum()) + 1.0 <= max_count) & (time <= max_time * (1.0 + 1e-12)))
 
 
 def least_counts(
@@ -205,25 +200,21 @@ def least_counts(
         return None
     low, high = 0.0, 1.0
     for _ in range(_N_BISECTIONS):
-        middle_fraction = 0.5 * (low + high)
-        fraction_limits = scale_limits(middle_fraction)
-        candidate = (
-            None
-            if fraction_limits is None
-            else best_counts(candidates, criterion, *fraction_limits)
-        )
+        middle = 0.5 * (low + high)
+        limits = scale_limits(middle)
+        candidate = None if limits is None else best_counts(candidates, criterion, *limits)
         if candidate is not None and meets_targets(candidate):
-            optimum, high = candidate, middle_fraction
+            optimum, high = candidate, middle
         else:
-            low = middle_fraction
+            low = middle
     lower_bound = 0.0
     for _ in range(_N_BISECTIONS):
-        middle_fraction = 0.5 * (lower_bound + high)
-        fraction_limits = scale_limits(middle_fraction)
-        if fraction_limits is None or candidates.relax(criterion, *fraction_limits).bound > 0.0:
-            lower_bound = middle_fraction
+        middle = 0.5 * (lower_bound + high)
+        limits = scale_limits(middle)
+        if limits is None or candidates.relax(criterion, *limits).bound > 0.0:
+            lower_bound = middle
         else:
-            high = middle_fraction
+            high = middle
     return optimum, lower_bound
 
 

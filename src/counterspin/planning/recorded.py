@@ -69,10 +69,8 @@ def needs_records(campaign: Campaign, sampling_rate: float | None) -> bool:
     has_described_runs = sampling_rate is not None and all(
         run.duration is not None for run in campaign.runs
     )
-    has_all_records = all(
-        run.record in campaign.frames or run.record.exists() for run in campaign.runs
-    )
-    return has_all_records and not (has_described_runs and _unstated_noise_keys(campaign) == set())
+    has_records = all(run.record in campaign.frames or run.record.exists() for run in campaign.runs)
+    return has_records and not (has_described_runs and _unstated_noise_keys(campaign) == set())
 
 
 def apply_records(campaign: Campaign) -> tuple[Campaign, dict[str, float]]:

@@ -253,9 +253,7 @@ def predict_accelerometers(prediction: Forecast) -> dict[str, PlannedAcceleromet
 def _predict_accelerometer(
     prediction: Forecast, name: str, indices: Mapping[str, int]
 ) -> PlannedAccelerometer:
-    coefficients = {
-        symbol: _predict_coefficient(prediction, index) for symbol, index in indices.items()
-    }
+    coefficients = {symbol: _predict_coefficient(prediction, i) for symbol, i in indices.items()}
     campaign = prediction.campaign
     other_prefixes = [f"{prefix}." for prefix in campaign.accelerometers if prefix != name]
     is_determined = "K_II" in coefficients and coefficients["K_II"].estimated

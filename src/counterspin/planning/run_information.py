@@ -54,10 +54,10 @@ _DERIVATIVE_STEP: Final = 1e-5
 
 
 class RunInformation:
-    """Square-root information of runs in one set-up.
+    """Square-root information of runs in one setup.
 
-    rates: Smallest and largest size of the rate, rad/s.
-    revolutions: Smallest and largest number of revolutions, at least 1.
+    rate_range: Lowest and highest rate (magnitudes), rad/s.
+    revolution_range: Smallest and largest number of revolutions, at least 1.
     senses: +1, -1 or both.
     """
 
@@ -350,13 +350,11 @@ class Predictor:
     def __init__(self, information: RunInformation) -> None:
         self.information = information
         setup = information.setup
-        shared_unknowns = [setup.model.unknowns[i] for i in setup.shared_indices]
-        self.names = tuple(unknown.name for unknown in shared_unknowns)
-        prior_sds = np.array([unknown.prior_sd for unknown in shared_unknowns])
+        unknowns = [setup.model.unknowns[i] for i in setup.shared_indices]
+        self.names = tuple(unknown.name for unknown in unknowns)
+        prior_sds = np.array([unknown.prior_sd for unknown in unknowns])
         #: An unknown without a prior is constrained as weakly as in the solution.
-        self.prior = whiten_priors(
-            np.eye(prior_sds.size), prior_sds, prior_correlation(shared_unknowns)
-        )
+        self.prior = whiten_priors(np.eye(prior_sds.size), prior_sds, prior_correlation(unknowns))
         considered_sds = setup.considered_sds
         self.common_sds = considered_sds[list(setup.shared_considered)]
         self.own_sds = {
@@ -410,23 +408,21 @@ class Predictor:
         Shapes (..., p, p), (..., p, p) and (..., p, k).
         """
         p = self.p
-        batch_shape = blocks.shape[:-3]
-        rows = blocks[..., :p].reshape(*batch_shape, -1, p)
-        prior = np.broadcast_to(self.prior, (*batch_shape, p, p))
+        shape = blocks.shape[:-3]
+        rows = blocks[..., :p].reshape(*shape, -1, p)
+        prior = np.broadcast_to(self.prior, (*shape, p, p))
         triangle = triangular_factor(np.concatenate([rows, prior], axis=-2))
         inverse_triangle = np.linalg.inv(triangle)
         noise_covariance = np.asarray(
             inverse_triangle @ np.swapaxes(inverse_triangle, -1, -2), dtype=np.float64
         )
         if blocks.shape[-1] == p:
-            return noise_covariance, noise_covariance, np.zeros((*batch_shape, p, 0))
+            return noise_covariance, noise_covariance, np.zeros((*shape, p, 0))
         moments = np.swapaxes(blocks[..., :p], -1, -2) @ self._scale_considered(types, blocks)
         q = self.common_sds.size
         common_moments = moments[..., :q].sum(axis=-3)
         run_moments = np.moveaxis(moments[..., q:], -3, -2)
-        run_moments = run_moments.reshape(
-            *batch_shape, p, run_moments.shape[-2] * run_moments.shape[-1]
-        )
+        run_moments = run_moments.reshape(*shape, p, run_moments.shape[-2] * run_moments.shape[-1])
         considered_moments = np.concatenate([common_moments, run_moments], axis=-1)
         contributions: Array = -noise_covariance @ considered_moments
         covariance: Array = noise_covariance + contributions @ np.swapaxes(contributions, -1, -2)

@@ -369,9 +369,8 @@ def _find_helpful_attitude(search: Search, missing_names: list[str]) -> str | No
     for attitude in _TRIAL_ATTITUDES:
         if attitude in plan.attitudes:
             continue
-        new_run = run.model_copy(
-            update={"name": attitude, "stated_attitude": read_attitude(attitude)}
-        )
+        update = {"name": attitude, "stated_attitude": read_attitude(attitude)}
+        new_run = run.model_copy(update=update)
         campaign = replace(plan.template, runs=(*plan.template.runs, new_run))
         max_revolutions = limits.max_duration * limits.rate_range[1] / (2.0 * math.pi)
         predictor = Predictor(
@@ -405,13 +404,13 @@ def unreachable_target_error(search: Search) -> CounterspinError:
     ((name, target),) = goal.items()
     unit = term(find_symbol(name)).unit
     if search.has_bound:
-        unlimited_limits = replace(
+        relaxed_limits = replace(
             search.limits,
             total_time=search.limits.total_time * _UNLIMITED_TIME_FACTOR,
             attitude_change=0.0,
         )
         _, relaxed_optimum = relax_design(
-            search.relaxed_predictor or search.predictor, unlimited_limits, search.criterion
+            search.relaxed_predictor or search.predictor, relaxed_limits, search.criterion
         )
         min_u = math.exp(relaxed_optimum.value) * target
         if min_u > target:

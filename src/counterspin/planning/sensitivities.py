@@ -41,7 +41,7 @@ def sensitivities(fit: JointFit, columns: ColumnFunction) -> Sensitivities:
     blocks = [
         _extend_block(observation, columns(observation), fit) for observation in fit.observations
     ]
-    solution = solve_blocks(blocks, _add_considered_columns(model, blocks[0].considered.shape[1]))
+    solution = solve_blocks(blocks, _add_considered_terms(model, blocks[0].considered.shape[1]))
     owners = [_residual_owner(observation) for observation in fit.observations]
     residual_products, accelerometer_products = _residual_products(blocks, owners, model)
     row_ends = np.cumsum([block.factor.shape[0] for block in blocks])
@@ -54,7 +54,7 @@ def sensitivities(fit: JointFit, columns: ColumnFunction) -> Sensitivities:
     return Sensitivities(shifts, residual_products, accelerometer_products, dof)
 
 
-def _add_considered_columns(model: Unknowns, n_considered: int) -> Unknowns:
+def _add_considered_terms(model: Unknowns, n_considered: int) -> Unknowns:
     """Return a model with `n_considered` considered terms; the added ones have no uncertainty."""
     added_indices = range(len(model.considered), n_considered)
     added_terms = (Considered("", str(index), (0.0, 0.0), 1.0) for index in added_indices)
@@ -70,9 +70,7 @@ def _extend_block(observation: Observation, columns: Array, fit: JointFit) -> Bl
         considered_design=np.column_stack([observation.considered_design, columns]),
         considered=(*observation.considered, *range(start, n_considered)),
     )
-    return full_observation.expand_block(
-        _add_considered_columns(fit.model, n_considered), fit.noise
-    )
+    return full_observation.expand_block(_add_considered_terms(fit.model, n_considered), fit.noise)
 
 
 def _residual_owner(observation: Observation) -> str:

@@ -291,11 +291,9 @@ def _add_poses(
 ) -> tuple[Campaign, tuple[tuple[Reading, ...], ...]]:
     """Return a template campaign with the values of candidate poses, and the existing poses."""
     assert campaign.triad is not None
-    planned_readings = {reading.name: reading for reading in candidates}
-    planned_poses = _simulate_poses(campaign, planned_readings)
-    existing_poses = tuple(
-        pose for pose in campaign.triad.poses if pose[0].name not in planned_readings
-    )
+    readings = {reading.name: reading for reading in candidates}
+    planned_poses = _simulate_poses(campaign, readings)
+    existing_poses = tuple(pose for pose in campaign.triad.poses if pose[0].name not in readings)
     existing_campaign = add_pose_noise(
         replace(campaign, triad=replace(campaign.triad, poses=existing_poses))
     )
@@ -437,9 +435,7 @@ def _station_rates(
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the name and the rate key of every reading of a rotating station."""
     signs = (1.0, -1.0) if settings.senses == "both" else (1.0,)
-    named_rates: list[tuple[str, float]] = [
-        (f"{rate:.6g} rad/s", rate) for rate in settings.rates or ()
-    ]
+    named_rates = [(f"{rate:.6g} rad/s", rate) for rate in settings.rates or ()]
     named_rates += [(f"{force:.6g} g", math.nan) for force in settings.specific_forces or ()]
     for index, (rate_text, rate) in enumerate(named_rates):
         magnitude = rate

@@ -237,10 +237,10 @@ class TermWeights:
     ) -> bool:
         """Check that the terms are combinations of the functions, to the required accuracy.
 
-        forces: Of the terms, as in `_forces`.
+        forces: Forces of the terms, as in `_forces_at_nodes`.
         """
         residual, min_residual = (
-            _fit_combination(forces, order)[1] for order in (n_harmonics, _HARMONIC_COUNTS[-1])
+            _fit_combination(forces, n)[1] for n in (n_harmonics, _HARMONIC_COUNTS[-1])
         )
         # Integration divides the harmonics after the first n by at least n + 1.
         kink_residual = _MAX_KINK_RESIDUAL * (n_harmonics + 1.0) ** instrument.order
@@ -253,7 +253,7 @@ class TermWeights:
     ) -> dict[Key, Array]:
         """Return Chebyshev coefficients of each term's weights over the rate, (nodes, b).
 
-        forces: Of the terms, as in `_forces`.
+        forces: Forces of the terms, as in `_forces_at_nodes`.
         """
         weights, _ = _fit_combination(forces, self.n_harmonics)
         # At a fixed angle, forces are polynomials in the rate; times the rate, so are effects that
@@ -336,14 +336,8 @@ def _fit_combination(columns: Array, n_harmonics: int) -> tuple[Array, Array]:
     points_per_revolution = columns.shape[-2] // 3
     angle: Array = np.arange(3.0 * points_per_revolution) * (2.0 * math.pi / points_per_revolution)
     basis = basis_functions(angle, n_harmonics)
-    periodic_indices = [
-        0,
-        *(index for m in range(1, n_harmonics + 1) for index in (4 * m, 4 * m + 1)),
-    ]
-    growing_indices = [
-        1,
-        *(index for m in range(1, n_harmonics + 1) for index in (4 * m + 2, 4 * m + 3)),
-    ]
+    periodic_indices = [0, *(i for m in range(1, n_harmonics + 1) for i in (4 * m, 4 * m + 1))]
+    growing_indices = [1, *(i for m in range(1, n_harmonics + 1) for i in (4 * m + 2, 4 * m + 3))]
     projection = 2.0 / points_per_revolution * basis[:points_per_revolution, periodic_indices].T
     projection[0] *= 0.5
     first_revolution, second_revolution = (
