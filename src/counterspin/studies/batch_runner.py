@@ -129,17 +129,15 @@ class StudyEngine:
     @property
     def batch_size(self) -> int:
         """Trials in a batch."""
-        return min(
-            _BATCH_SIZES[analysis_engine.cost_class] for analysis_engine in self.analysis_engines
-        )
+        return min(_BATCH_SIZES[analysis.cost_class] for analysis in self.analysis_engines)
 
     @property
     def coefficients(self) -> tuple[ReportedCoefficient, ...]:
         """Reported coefficients, in the order of a batch's rows."""
         return tuple(
             coefficient
-            for analysis_engine in self.analysis_engines
-            for coefficient in analysis_engine.coefficients
+            for analysis in self.analysis_engines
+            for coefficient in analysis.coefficients
         )
 
     def run_batch(
@@ -158,20 +156,16 @@ class StudyEngine:
             for covariate in self.accumulator.covariates
         ]
         sums, values = [], []
-        for analysis_engine in self.analysis_engines:
-            noise_generator = random_stream(
-                self.seed, batch, NOISE_STREAM + analysis_engine.noise_stream
-            )
+        for analysis in self.analysis_engines:
+            noise_generator = random_stream(self.seed, batch, NOISE_STREAM + analysis.noise_stream)
             # Full simulation is slow: run only the requested trials.
             simulated_draws = (
                 draws.slice_trials(0, n_trials)
-                if analysis_engine.cost_class in ("full", "readings")
+                if analysis.cost_class in ("full", "readings")
                 else draws
             )
-            results = analysis_engine.engine.run_trials(simulated_draws, noise_generator)
-            for row, coefficient in zip(
-                analysis_engine.rows, analysis_engine.coefficients, strict=True
-            ):
+            results = analysis.engine.run_trials(simulated_draws, noise_generator)
+            for row, coefficient in zip(analysis.rows, analysis.coefficients, strict=True):
                 truth = draws.mean(coefficient.owner, coefficient.symbol)[:n_trials]
                 estimate = results.estimate[row, :n_trials]
                 u, dof = results.u[row, :n_trials], results.dof[row, :n_trials]
@@ -213,7 +207,7 @@ _TRIAL_DURATIONS: Final[dict[CostClass, float]] = {
 class BatchResults:
     """The finished batches of a study and their results.
 
-    keep: True: keep each trial.
+    keep_trials: True: keep each trial.
     """
 
     def __init__(self, engine: StudyEngine, n_trials: int, *, keep_trials: bool = False) -> None:
@@ -251,15 +245,13 @@ def expected_duration(engine: StudyEngine, n_trials: int) -> float:
     The durations of trials with full records differ widely, so that a trial is timed.
     """
     total_seconds = 0.0
-    for analysis_engine in engine.analysis_engines:
-        duration = _TRIAL_DURATIONS[analysis_engine.cost_class]
-        if analysis_engine.cost_class == "full" and duration * n_trials > _MIN_TIMED_DURATION:
+    for analysis in engine.analysis_engines:
+        duration = _TRIAL_DURATIONS[analysis.cost_class]
+        if analysis.cost_class == "full" and duration * n_trials > _MIN_TIMED_DURATION:
             draws = engine.truth.draw(random_stream(engine.seed, 0, TRUTH_STREAM), 1)
             for _ in range(2):  # the first one includes imports
                 start_time = time.perf_counter()
-                analysis_engine.engine.run_trials(
-                    draws, random_stream(engine.seed, 0, NOISE_STREAM)
-                )
+                analysis.engine.run_trials(draws, random_stream(engine.seed, 0, NOISE_STREAM))
                 duration = time.perf_counter() - start_time
         total_seconds += duration * n_trials
     return total_seconds
@@ -302,10 +294,7 @@ def run_batches(
     batches_per_task: Number of batches in a task; None: about a third of a second of computation.
     """
     batch_duration = (
-        sum(
-            _TRIAL_DURATIONS[analysis_engine.cost_class]
-            for analysis_engine in engine.analysis_engines
-        )
+        sum(_TRIAL_DURATIONS[analysis.cost_class] for analysis in engine.analysis_engines)
         * engine.batch_size
     )
     task_size = batches_per_task or max(1, min(64, round(_TASK_DURATION / batch_duration)))

@@ -253,16 +253,13 @@ def parse_study(
         if campaign is None:
             raise campaign_error(file, problems.lines)
     recorders = recorders_of(document.get("records", {}), campaign.runs)
-    varied_quantities: list[VariedQuantity] = []
+    quantities: list[VariedQuantity] = []
     for key, entry_path, entry in _walk_entries(settings.vary, ("study", "vary")):
-        varied_quantities += _parse_varied_quantities(
+        quantities += _parse_varied_quantities(
             key, entry_path, entry, campaign, recorders, problems
         )
-    for index, quantity in enumerate(varied_quantities):
-        if any(
-            _is_same_quantity(quantity, earlier_quantity)
-            for earlier_quantity in varied_quantities[:index]
-        ):
+    for index, quantity in enumerate(quantities):
+        if any(_is_same_quantity(quantity, previous) for previous in quantities[:index]):
             problems.add(("study", "vary"), f"{quantity.symbol} is listed twice", "duplicate-entry")
     analyses = []
     has_readings = campaign.readings or campaign.posed
@@ -290,14 +287,14 @@ def parse_study(
             analyses.append(analysis)
     if problems.lines:
         raise campaign_error(file, problems.lines)
-    varied_quantities += _prior_varied_quantities(campaign, varied_quantities)
+    quantities += _prior_quantities(campaign, quantities)
     return StudyDescription(
-        campaign, settings.trials, settings.seed, tuple(varied_quantities), tuple(analyses)
+        campaign, settings.trials, settings.seed, tuple(quantities), tuple(analyses)
     )
 
 
-def _prior_varied_quantities(
-    campaign: Campaign, varied_quantities: Sequence[VariedQuantity]
+def _prior_quantities(
+    campaign: Campaign, quantities: Sequence[VariedQuantity]
 ) -> Iterator[VariedQuantity]:
     """Yield the nuisance parameters with their stated or default priors as varied quantities.
 
@@ -305,7 +302,7 @@ def _prior_varied_quantities(
     """
     assert campaign.simulation is not None
     truth = campaign.simulation.truth
-    excluded_keys = {(quantity.owner, quantity.symbol) for quantity in varied_quantities}
+    excluded_keys = {(quantity.owner, quantity.symbol) for quantity in quantities}
     excluded_keys |= {
         (name, symbol)
         for name, coefficients in truth.coefficients.items()
@@ -399,11 +396,7 @@ def _parse_varied_quantities(
     names = _resolve_names(key, path, campaign, recorders, problems)
     if settings is None or not names:
         return []
-    distributions = [
-        quantity_symbol
-        for quantity_symbol in _DISTRIBUTIONS
-        if getattr(settings, quantity_symbol) is not None
-    ]
+    distributions = [name for name in _DISTRIBUTIONS if getattr(settings, name) is not None]
     if len(distributions) != 1:
         problems.add(path, "give one of normal, uniform and fixed", "unknown-choice")
         return []
@@ -537,11 +530,11 @@ def _parse_analysis(
         for key in ("model", "weighted", "ripple", "fit_bias", "sigma"):
             if isinstance(table, Mapping) and key in table:
                 problems.add((*path, key), "applies only to the two-stage method")
-    error_count = len(problems.lines)
+    n_errors = len(problems.lines)
     campaign = _resolve_campaign(
         _apply_terms(document, settings), file, problems, (".".join(path),)
     )
-    if campaign is None or len(problems.lines) > error_count:
+    if campaign is None or len(problems.lines) > n_errors:
         return None
     if settings.method == "joint":
         return AnalysisDescription(name, None, campaign)

@@ -118,7 +118,7 @@ class VariedQuantity:
     """A quantity that varies from trial to trial."""
 
     owner: str  #: Accelerometer of a term, or recorder of a clock; empty for shared quantities.
-    symbol: str  #: A term of the tables or a key of `OTHER_QUANTITIES`.
+    symbol: str  #: A term of the tables or a key of `OTHER_QUANTITY_UNITS`.
     distribution: Literal["normal", "uniform", "fixed"]
     #: Mean and standard deviation; lowest and highest value; value and 0.
     first_parameter: float
@@ -206,17 +206,13 @@ class Draws:
 
     def rotation_parameters(self, run: int) -> list[Array]:
         """Return the drift of a run, and the cosine and sine of its ripple, (n,) or (1,) each."""
-        return [
-            run_values(values, run) for values in (self.drift, self.ripple_cos, self.ripple_sin)
-        ]
+        return [run_values(rows, run) for rows in (self.drift, self.ripple_cos, self.ripple_sin)]
 
     def noise_sizes(self, sizes: Mapping[str, float]) -> dict[str, float]:
         """Return `sizes`, by key of [noise], with the mean values of varied noise levels."""
         mean_levels = {symbol: float(level.mean()) for symbol, level in self.noise_levels.items()}
-        level_by_key = {
-            symbol.removeprefix("noise."): level for symbol, level in mean_levels.items()
-        }
-        return {**sizes, "displacement": float(self.white_noise.mean()), **level_by_key}
+        levels = {symbol.removeprefix("noise."): level for symbol, level in mean_levels.items()}
+        return {**sizes, "displacement": float(self.white_noise.mean()), **levels}
 
     def deviation(self, key: TruthKey) -> Array:
         """Return a true value minus its nominal or stated value, shape (n,) or (1,)."""
@@ -231,11 +227,9 @@ class Draws:
         index: 0 for the drift, 1 for the cosine of the ripple, 2 for its sine.
         shift: Shape (runs,).
         """
-        parameters = [self.drift, self.ripple_cos, self.ripple_sin]
-        parameters[index] = parameters[index] + shift[:, None]
-        return replace(
-            self, drift=parameters[0], ripple_cos=parameters[1], ripple_sin=parameters[2]
-        )
+        rotation = [self.drift, self.ripple_cos, self.ripple_sin]
+        rotation[index] = rotation[index] + shift[:, None]
+        return replace(self, drift=rotation[0], ripple_cos=rotation[1], ripple_sin=rotation[2])
 
     def input_error(self, symbol: str, recorder: str = "") -> Array:
         """Return the deviation of an input from its stated value, shape (n,) or (1,)."""
@@ -250,9 +244,7 @@ class Draws:
 
     def true_spindle(self, nominal_spindle: Spindle, run: int) -> Spindle:
         """Return the true rotation of one run in the first trial."""
-        cos, sin = (
-            float(run_values(values, run)[0]) for values in (self.ripple_cos, self.ripple_sin)
-        )
+        cos, sin = (float(run_values(rows, run)[0]) for rows in (self.ripple_cos, self.ripple_sin))
         other_ripples = tuple(ripple for ripple in nominal_spindle.ripples if ripple.harmonic != 1)
         first_harmonic = Ripple(
             1, nominal_spindle.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos))
@@ -302,9 +294,7 @@ class StudyTruth:
                 [platform_values.get(symbol, 0.0) for platform_values in platform_truths]
             )
         first_accelerometer = next(iter(campaign.accelerometers.values()))
-        stated_inputs = {
-            key: input_value.value for key, input_value in inputs_by_owner(campaign).items()
-        }
+        stated_inputs = {key: quantity.value for key, quantity in inputs_by_owner(campaign).items()}
         true_inputs = campaign.simulation.truth.inputs
         fixed_inputs = {key: true_inputs.get(key, value) for key, value in stated_inputs.items()}
         for quantity in varied_quantities:
@@ -324,9 +314,7 @@ class StudyTruth:
         n_runs = len(self.spindles)
         values = {key: value[:, None] for key, value in self.fixed_values.items()}
         drift = np.array([[spindle.drift] for spindle in self.spindles])
-        ratio, phase = (
-            np.array(values_by_run)[:, None] for values_by_run in self._first_harmonics()
-        )
+        ratio, phase = (np.array(column)[:, None] for column in self._first_harmonics())
         white_noise = np.array([self.white_noise])
         input_errors = {
             key: np.array([value - self.stated_inputs[key]])
@@ -368,12 +356,10 @@ class StudyTruth:
             )
             for quantity in self.varied_quantities
         )
-        draws = replace(self, varied_quantities=fixed_quantities).draw(np.random.default_rng(0), 1)
+        draw = replace(self, varied_quantities=fixed_quantities).draw(np.random.default_rng(0), 1)
         runs = range(len(self.spindles))
         drift, cos, sin = np.array([self.rotation_bounds(run).mean(axis=1) for run in runs]).T
-        return replace(
-            draws, drift=drift[:, None], ripple_cos=cos[:, None], ripple_sin=sin[:, None]
-        )
+        return replace(draw, drift=drift[:, None], ripple_cos=cos[:, None], ripple_sin=sin[:, None])
 
     def rotation_bounds(self, run: int) -> Array:
         """Return the lowest and highest drift, ripple cosine and ripple sine, shape (3, 2)."""
@@ -434,15 +420,13 @@ class StudyTruth:
 
     def bounds(self, symbol: str, run: int) -> tuple[float, float]:
         """Return the lowest and highest value of a spindle quantity in a run."""
+        spindle = self.spindles[run]
         for quantity in self.varied_quantities:
             if symbol == RIPPLE_RATIO and quantity.symbol == RIPPLE_AMPLITUDE:
-                low, high = sorted(
-                    bound / self.spindles[run].rate for bound in quantity.value_range
-                )
+                low, high = sorted(bound / spindle.rate for bound in quantity.value_range)
                 return low, high
             if quantity.symbol == symbol:
                 return quantity.value_range
-        spindle = self.spindles[run]
         ratios, phases = self._first_harmonics()
         value = {DRIFT: spindle.drift, RIPPLE_RATIO: ratios[run], RIPPLE_PHASE: phases[run]}[symbol]
         return value, value

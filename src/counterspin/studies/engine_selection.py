@@ -200,9 +200,9 @@ def _linear_joint_engine(
     setup: SimulationSetup, truth: StudyTruth, analysis: Analysis, request: JointRequest
 ) -> AnalysisEngine:
     joint_engine, undetermined_names = JointEngine.prepare(setup, request, truth)
-    bounds_by_name = lower_bounds(truth, request.model, setup)
+    bounds = lower_bounds(truth, request.model, setup)
     coefficients = _reported_coefficients(
-        analysis, [request.model.unknowns[index] for index in joint_engine.rows], bounds_by_name
+        analysis, [request.model.unknowns[index] for index in joint_engine.rows], bounds
     )
     rows, noise_stream = tuple(range(len(coefficients))), _noise_stream(setup, analysis)
     return AnalysisEngine(
@@ -238,10 +238,10 @@ def _full_joint_engine(
     readings: TrialReadings | None = None,
 ) -> AnalysisEngine:
     noisy_readings = () if readings is None else readings.groups_with_true_noise
-    bounds_by_name = lower_bounds(truth, request.model, setup, noisy_readings)
+    bounds = lower_bounds(truth, request.model, setup, noisy_readings)
     unknowns = request.model.unknowns
     determined_indices = tuple(
-        index for index in request.reported_indices if unknowns[index].name in bounds_by_name
+        index for index in request.reported_indices if unknowns[index].name in bounds
     )
     undetermined_names = tuple(
         unknowns[index].name
@@ -255,7 +255,7 @@ def _full_joint_engine(
         description=description,
         rows=tuple(range(len(determined_indices))),
         coefficients=_reported_coefficients(
-            analysis, [unknowns[index] for index in determined_indices], bounds_by_name
+            analysis, [unknowns[index] for index in determined_indices], bounds
         ),
         undetermined=undetermined_names,
     )
@@ -277,12 +277,10 @@ def _reported_unknowns(
 
 
 def _reported_coefficients(
-    analysis: Analysis, unknowns: Sequence[Unknown], bounds_by_name: Mapping[str, float]
+    analysis: Analysis, unknowns: Sequence[Unknown], bounds: Mapping[str, float]
 ) -> tuple[ReportedCoefficient, ...]:
     return tuple(
-        ReportedCoefficient(
-            analysis.name, unknown.owner, unknown.symbol, bounds_by_name.get(unknown.name)
-        )
+        ReportedCoefficient(analysis.name, unknown.owner, unknown.symbol, bounds.get(unknown.name))
         for unknown in unknowns
     )
 
@@ -340,12 +338,10 @@ def _find_nonlinearity(
             if isinstance(request, JointRequest):
                 fitted_estimate = _fit_estimate(setup, truth, request, draws, rows)
             noise_effect = fitted_estimate - linear_results.estimate
-        relative_difference = (
+        difference = (
             full_results.estimate - noise_effect - linear_results.estimate
         ) / linear_results.u
-        estimate_differences.append(
-            float(np.abs(relative_difference[list(linear_engine.rows)]).max())
-        )
+        estimate_differences.append(float(np.abs(difference[list(linear_engine.rows)]).max()))
         u_differences.append(
             float(np.abs(full_results.u / linear_results.u - 1.0)[list(linear_engine.rows)].max())
         )
@@ -485,10 +481,7 @@ def _find_common_obstacles(setup: SimulationSetup, truth: StudyTruth) -> list[st
 
 def _min_white_noise(truth: StudyTruth) -> float:
     """Return the smallest white noise of the trials."""
-    varied_quantities = [
-        quantity for quantity in truth.varied_quantities if quantity.symbol == WHITE_NOISE
-    ]
-    if not varied_quantities:
+    if not any(quantity.symbol == WHITE_NOISE for quantity in truth.varied_quantities):
         return truth.white_noise
     draws = truth.draw(np.random.default_rng(0), 256)
     return float(draws.white_noise.min())

@@ -125,12 +125,10 @@ def _foreign_file_error(path: Path) -> CounterspinError:
 def _is_trials_file(path: Path) -> bool:
     """Check that a file has the columns that `_write_parquet` writes."""
     try:
-        first_column, *other_columns = pl.read_parquet_schema(path)
+        first_column, *columns = pl.read_parquet_schema(path)
     except (OSError, ValueError, pl.exceptions.PolarsError):
         return False
-    return first_column == "trial" and all(
-        name.endswith(_COLUMN_SUFFIXES) for name in other_columns
-    )
+    return first_column == "trial" and all(name.endswith(_COLUMN_SUFFIXES) for name in columns)
 
 
 #: File with the values of each trial.
@@ -221,12 +219,8 @@ class StudyProgress:
         batch_results = self.batch_results
         for batch, batch_sums in zip(batches, sums, strict=True):
             # A truncated last batch of a shorter study runs again.
-            saved_count = min(
-                batch_results.batch_size, saved_trials - batch * batch_results.batch_size
-            )
-            if batch >= batch_results.is_done.size or saved_count != batch_results.trial_count(
-                batch
-            ):
+            n_saved = min(batch_results.batch_size, saved_trials - batch * batch_results.batch_size)
+            if batch >= batch_results.is_done.size or n_saved != batch_results.trial_count(batch):
                 continue
             if batch_results.keep_trials:
                 values = self._load_trials(batch)

@@ -106,13 +106,11 @@ class TrialRecords:
         if rotation.fit is None:
             return record
         stated_noise = self.setup.stated_timing_noise
-        timestamp_errors = find_timestamp_errors(
-            rotation.fit, record.time, record.count, stated_noise
-        )
-        if timestamp_errors is None:
+        errors = find_timestamp_errors(rotation.fit, record.time, record.count, stated_noise)
+        if errors is None:
             return record
-        record = replace(record, angle_error=rotation.fit.error, timestamp_errors=timestamp_errors)
-        return record.correct_times(timestamp_errors.prior[0])
+        record = replace(record, angle_error=rotation.fit.error, timestamp_errors=errors)
+        return record.correct_times(errors.prior[0])
 
     def strobed_run(self, run: int, name: str, request: TwoStageRequest) -> StrobedRun:
         """Return a run with one reading at each strobe."""
@@ -140,8 +138,8 @@ class TrialRecords:
             indicated_times,
             attitude=setup.attitudes[run],
         )
-        readings = Strobes(indicated_times, error, np.ones_like(indicated_times), 0)
-        parabola = request.first_stage(readings, assumed_trajectory, request.timing)
+        strobes = Strobes(indicated_times, error, np.ones_like(indicated_times), 0)
+        parabola = request.first_stage(strobes, assumed_trajectory, request.timing)
         return StrobedRun(setup.runs[run], assumed_trajectory, parabola, setup.attitudes[run])
 
     def _clock_scale(self, run: int) -> float:
@@ -325,7 +323,7 @@ class TrialReadings:
         )
         noise = self.noise_sds * generator.standard_normal(self.noise_sds.size)
         mean_values = {key: float(value.mean()) for key, value in draws.values.items()}
-        shared_values = {
+        machine = {
             symbol: value
             for (owner, symbol), value in mean_values.items()
             if not owner and affects_readings(symbol)
@@ -333,10 +331,8 @@ class TrialReadings:
         input_errors = {symbol: float(draws.input_error(symbol)[0]) for symbol in INPUT_STEPS}
         # A radius with its default prior is a deviation from the radius of the centrifuge.
         parameters = (*model.unknowns, *model.considered)
-        known_symbols = {*shared_values, *(parameter.symbol for parameter in parameters)}
-        known_symbols -= {
-            parameter.symbol for parameter in parameters if parameter.has_default_prior
-        }
+        symbols = {*machine, *(parameter.symbol for parameter in parameters)}
+        symbols -= {parameter.symbol for parameter in parameters if parameter.has_default_prior}
         for (group, reading_indices), rate_sd in zip(self.numbered_groups, rate_sds, strict=True):
             indices = list(reading_indices)
             coefficients = {
@@ -345,40 +341,32 @@ class TrialReadings:
                 if owner == group.accelerometer
             }
             # The analysis assumes the stated values of the inputs, not the true ones.
-            true_readings = apply_rates(group, self.rates[indices])
+            true_group = apply_rates(group, self.rates[indices])
             for symbol, input_error in input_errors.items():
-                true_readings = perturb_input(true_readings, symbol, input_error, known_symbols)
+                true_group = perturb_input(true_group, symbol, input_error, symbols)
             for name in dict.fromkeys(filter(None, group.clocks)):
                 symbol = find_symbol(name)
-                clock_error = draws.input_error(
-                    symbol, name.removesuffix(symbol).removesuffix(".")
-                )[0]
-                true_readings = perturb_input(
-                    true_readings, name, float(clock_error), known_symbols
-                )
-            true_readings = true_readings.with_rate_errors(rate_errors[indices] * rate_sd)
-            value = compute_indications(
-                true_readings, coefficients, shared_values, angle_errors[indices]
-            )
+                owner = name.removesuffix(symbol).removesuffix(".")
+                clock_error = float(draws.input_error(symbol, owner)[0])
+                true_group = perturb_input(true_group, name, clock_error, symbols)
+            true_group = true_group.with_rate_errors(rate_errors[indices] * rate_sd)
+            value = compute_indications(true_group, coefficients, machine, angle_errors[indices])
             value = value * (1.0 + group.in_si * input_errors["site.gravity"] / group.site.gravity)
             value = value + noise[indices]
             result = replace(group, value=value)
+            group_dof = self.estimated_dof[indices]
+            is_estimated = np.isfinite(group_dof)
             if group.u is None:
                 repeat_dof = group.repeats - 1.0
                 scatter = 2.0 * generator.standard_gamma(0.5 * repeat_dof)
                 variances = self.noise_sds[indices] ** 2 * group.repeats
                 result = replace(result, scatter=scatter * variances)
-            elif np.isfinite(self.estimated_dof[indices]).any():
-                dof = np.where(
-                    np.isfinite(self.estimated_dof[indices]), self.estimated_dof[indices], 1.0
-                )
+            elif is_estimated.any():
+                dof = np.where(is_estimated, group_dof, 1.0)
                 estimated_noise = self.noise_sds[indices] * np.sqrt(
                     2.0 * generator.standard_gamma(0.5 * dof) / dof
                 )
-                result = replace(
-                    result,
-                    u=np.where(np.isfinite(self.estimated_dof[indices]), estimated_noise, group.u),
-                )
+                result = replace(result, u=np.where(is_estimated, estimated_noise, group.u))
             yield result
 
 
@@ -494,13 +482,11 @@ class FullEngine:
             ]
         else:
             runs = [records.strobed_run(run, self.owner, request) for run in range(len(setup.runs))]
-        second_stage_result = second_stage(runs, setup.mountings[self.owner], request, ignored=())
+        result = second_stage(runs, setup.mountings[self.owner], request, ignored=())
         if estimated_noise is not None:
-            second_stage_result = apply_noise_uncertainty(
-                second_stage_result, estimated_noise.noise, estimated_noise
-            )
-        solution = second_stage_result.fit.solution
-        return solution.estimate, solution.u, np.asarray(second_stage_result.dof)
+            result = apply_noise_uncertainty(result, estimated_noise.noise, estimated_noise)
+        solution = result.fit.solution
+        return solution.estimate, solution.u, np.asarray(result.dof)
 
 
 def _make_strobed_run(record: ResidualSeries, request: TwoStageRequest) -> StrobedRun:

@@ -80,11 +80,9 @@ class JointEngine:
 
         Returns: the engine, and the names of coefficients that the records do not determine.
         """
-        model, mean_draws = request.model, truth.mean_draw()
+        model, draws = request.model, truth.mean_draw()
         keys = _varied_keys(truth, len(setup.runs))
-        records = TrialRecords(
-            replace(setup, noise=ZERO_NOISE), mean_draws, np.random.default_rng(0)
-        )
+        records = TrialRecords(replace(setup, noise=ZERO_NOISE), draws, np.random.default_rng(0))
         solution = fit_records(records, request, truth, keys)
         assessment = assess(solution, [unknown.name for unknown in model.of_interest])
         rows = [
@@ -106,7 +104,7 @@ class JointEngine:
             + np.array([model.unknowns[index].nominal for index in rows]),
             keys=keys,
             response=-solution.sensitivity_considered[:, len(model.considered) :][rows],
-            mean_truth=np.array([mean_draws.deviation(key) for key in keys]).reshape(-1, 1),
+            mean_truth=np.array([draws.deviation(key) for key in keys]).reshape(-1, 1),
             sqrt_covariance=eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0)),
             u=np.sqrt(np.diag(covariance)[rows]),
             assumed_white_noise=math.sqrt(assumed_noise.sample_variance),
@@ -134,12 +132,10 @@ def fit_records(
     keys: True values whose columns become additional considered terms without uncertainty.
     """
     model, series = request.model, records.series()
-    expected_deviations = np.array(
+    deviations = np.array(
         [truth.mean(unknown.owner, unknown.symbol) - unknown.nominal for unknown in model.unknowns]
     )
-    blocks = build_design_blocks(
-        series, model, scale_factors(series, model, truth), expected_deviations
-    )
+    blocks = build_design_blocks(series, model, scale_factors(series, model, truth), deviations)
     n_considered = len(model.considered)
     considered_terms = [Considered(owner, symbol, (0.0, 0.0), 1.0) for owner, symbol, _ in keys]
     indices = range(n_considered, n_considered + len(keys))
@@ -236,24 +232,20 @@ def lower_bounds(
     model = Unknowns(model.unknowns)
     blocks = [] if setup is None else _record_blocks(setup, truth, model)
     if readings:
-        mean_deviations = np.array(
+        deviations = np.array(
             [
                 truth.mean(unknown.owner, unknown.symbol) - unknown.nominal
                 for unknown in model.unknowns
             ]
         )
-        blocks += blocks_at(readings, model, mean_deviations)
+        blocks += blocks_at(readings, model, deviations)
     if not blocks:
         return {}
     solution = solve_blocks(blocks, model)
-    determined_names = assess(solution, [unknown.name for unknown in model.of_interest]).determined
-    standard_uncertainties = np.sqrt(
-        np.diag(solution.covariance_noise + solution.covariance_prior)
-    ).tolist()
-    u_by_name = dict(
-        zip((unknown.name for unknown in model.unknowns), standard_uncertainties, strict=True)
-    )
-    return {name: u_by_name[name] for name in determined_names if determined_names[name]}
+    is_determined = assess(solution, [unknown.name for unknown in model.of_interest]).determined
+    u = np.sqrt(np.diag(solution.covariance_noise + solution.covariance_prior)).tolist()
+    u_by_name = dict(zip((unknown.name for unknown in model.unknowns), u, strict=True))
+    return {name: u_by_name[name] for name in is_determined if is_determined[name]}
 
 
 def _record_blocks(setup: SimulationSetup, truth: StudyTruth, model: Unknowns) -> list[Block]:
@@ -309,11 +301,9 @@ class TwoStageEngine:
     ) -> TwoStageEngine:
         """Analyse the mean true values without noise, and differentiate the result."""
         mean_draw, runs = truth.mean_draw(), range(len(setup.runs))
-        second_stage_result = noise_free_second_stage(setup, truth, request, owner, mean_draw)
-        fit, sigma_b2 = (
-            second_stage_result.fit,
-            np.array([parabola.u_b2 for parabola in second_stage_result.parabolas]),
-        )
+        result = noise_free_second_stage(setup, truth, request, owner, mean_draw)
+        fit = result.fit
+        sigma_b2 = np.array([parabola.u_b2 for parabola in result.parabolas])
         estimate = fit.solution.estimate
         rows = [(block.factor, block.considered) for block in fit.blocks]
         design, considered = (
@@ -362,7 +352,7 @@ class TwoStageEngine:
             )
             # The column of an unknown follows the change of its effect with the rotation.
             response[1 + parameter, is_estimated] = 0.0
-        parabolas = second_stage_result.parabolas
+        parabolas = result.parabolas
         return cls(
             sigma=request.sigma,
             weighted=request.weighted,
@@ -370,7 +360,7 @@ class TwoStageEngine:
             design=design,
             considered=considered * np.asarray(fit.model.considered_sds),
             prior=np.array([[unknown.prior_mean for unknown in unknowns] - estimate, prior_sds]),
-            residual_b2=_residual_b2(second_stage_result, estimate),
+            residual_b2=_residual_b2(result, estimate),
             keys=keys,
             response=response,
             mean_truth=np.array([mean_draw.deviation(key) for key in keys]).reshape(-1, 1),
@@ -420,14 +410,12 @@ class TwoStageEngine:
         scaled_design = x * scale
         information = np.einsum("rp,rn,rq->npq", scaled_design, weights, scaled_design)
         information += np.diag((scale / prior_sd) ** 2)
-        unscaled_covariance = np.linalg.inv(information) * scale[:, None] * scale
-        gain = np.einsum("npq,rq,rn->prn", unscaled_covariance, x, weights)
+        covariance = np.linalg.inv(information) * scale[:, None] * scale
+        gain = np.einsum("npq,rq,rn->prn", covariance, x, weights)
         estimate = _sum_over_runs(gain, b2) + self.estimate[:, None]
-        estimate += np.einsum("npq,q->pn", unscaled_covariance, prior_mean / prior_sd**2)
+        estimate += np.einsum("npq,q->pn", covariance, prior_mean / prior_sd**2)
         contributions = gain**2 * b2_variance
-        variance = contributions.sum(axis=1) + np.einsum(
-            "npq,q->pn", unscaled_covariance**2, prior_sd**-2.0
-        )
+        variance = contributions.sum(axis=1) + np.einsum("npq,q->pn", covariance**2, prior_sd**-2.0)
         variance = variance + np.sum(np.einsum("prn,rk->pkn", gain, self.considered) ** 2, axis=1)
         dof = np.full((1, 1), math.inf)
         if self.sigma is None:
@@ -450,14 +438,14 @@ def noise_free_second_stage(
     return second_stage(runs, setup.mountings[owner], request, ignored=())
 
 
-def _residual_b2(second_stage_result: SecondStage, estimate: Array) -> Array:
+def _residual_b2(result: SecondStage, estimate: Array) -> Array:
     """Return b2 minus the prediction of the estimate, m/s^2, shape (runs,)."""
-    considered_means = second_stage_result.fit.model.considered_means
+    considered_means = result.fit.model.considered_means
     residuals = [
         block.target - block.factor @ estimate - block.considered @ considered_means
-        for block in second_stage_result.fit.blocks
+        for block in result.fit.blocks
     ]
-    return np.concatenate(residuals) * [parabola.u_b2 for parabola in second_stage_result.parabolas]
+    return np.concatenate(residuals) * [parabola.u_b2 for parabola in result.parabolas]
 
 
 def _b2_responses(
@@ -476,10 +464,8 @@ def _b2_responses(
 def curvature_gain(times: Array) -> Array:
     """Return d(b2)/d(strobe) of an unweighted parabola, shape (m,)."""
     t = times - times.mean()
-    t_squared = t * t
-    orthogonal_square = (
-        t_squared - t_squared.mean() - (np.sum(t_squared * t) / np.sum(t_squared)) * t
-    )
+    square = t * t
+    orthogonal_square = square - square.mean() - (np.sum(square * t) / np.sum(square)) * t
     return np.asarray(orthogonal_square / np.sum(orthogonal_square * orthogonal_square))
 
 

@@ -64,18 +64,11 @@ def study_blocks(result: StudyResult) -> list[Block]:
         blocks += [
             Heading(f"{name} ({analysis.engine})"),
             Table(
-                _ERROR_COLUMNS,
-                tuple(
-                    _error_row(*named_coefficient)
-                    for named_coefficient in analysis.coefficients.items()
-                ),
+                _ERROR_COLUMNS, tuple(_error_row(*pair) for pair in analysis.coefficients.items())
             ),
             Table(
                 _COVERAGE_COLUMNS,
-                tuple(
-                    _coverage_row(*named_coefficient)
-                    for named_coefficient in analysis.coefficients.items()
-                ),
+                tuple(_coverage_row(*pair) for pair in analysis.coefficients.items()),
             ),
         ]
         if analysis.undetermined:
@@ -169,11 +162,9 @@ def z_plots(result: StudyResult) -> Iterator[Plot]:
 def coverage_plots(result: StudyResult) -> Iterator[Plot]:
     """Yield the coverage of the intervals for each level, with binomial 95 % error bars."""
     names, coefficients = zip(*_named_coefficients(result), strict=True)
-    for index, level in enumerate(CONFIDENCE_LEVELS):
-        low, high = zip(
-            *(coefficient.intervals[index] for coefficient in coefficients), strict=True
-        )
-        shares = tuple(coefficient.covered[index] for coefficient in coefficients)
+    for i, level in enumerate(CONFIDENCE_LEVELS):
+        low, high = zip(*(coefficient.intervals[i] for coefficient in coefficients), strict=True)
+        shares = tuple(coefficient.covered[i] for coefficient in coefficients)
         yield Plot(
             title=f"Share of trials whose {100 * level:.0f} % interval contains the true "
             "value; error bars: 95 % intervals",
@@ -187,7 +178,7 @@ def coverage_plots(result: StudyResult) -> Iterator[Plot]:
                     _to_percent(low),
                     _to_percent(high),
                     "points",
-                    colour=index,
+                    colour=i,
                 ),
             ),
             levels=(100.0 * level,),
@@ -201,15 +192,13 @@ def bias_plots(result: StudyResult, covariate: str) -> Iterator[Plot]:
     for name, coefficient in _named_coefficients(result):
         bias_table = coefficient.against[covariate]
         columns = (bias_table.value, bias_table.trials, bias_table.bias, bias_table.se_bias)
-        bin_centres, trials, bias, standard_errors = (
-            np.array(column, dtype=float) for column in columns
-        )
+        bin_centres, trials, bias, se_bias = (np.array(column, dtype=float) for column in columns)
         half_bin = 0.5 * (bin_centres[1] - bin_centres[0])
         has_trials = trials > 1
         unit, factor = find_display_unit(coefficient.unit)
         bias_values, expanded_errors = (
             factor * bias[has_trials],
-            2.0 * factor * standard_errors[has_trials],
+            2.0 * factor * se_bias[has_trials],
         )
         yield Plot(
             title=f"Bias of {name}; error bars: two standard errors",

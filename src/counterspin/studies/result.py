@@ -327,25 +327,19 @@ def summarise_analyses(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     """Return a line for each analysis: the best, other trustworthy ones, then faulty ones."""
     if any(analysis.trustworthy is None for analysis in analyses.values()):
         return _summarise_few_trials(analyses)
-    trustworthy_analyses = {
-        name: analysis for name, analysis in analyses.items() if analysis.trustworthy
-    }
+    good_analyses = {name: analysis for name, analysis in analyses.items() if analysis.trustworthy}
     lines = []
-    if not trustworthy_analyses:
+    if not good_analyses:
         lines.append("Every analysis has at least one fault.")
     else:
-        best_name = min(
-            trustworthy_analyses, key=lambda name: _mean_square_error(trustworthy_analyses[name])
-        )
+        best_name = min(good_analyses, key=lambda name: _mean_square_error(good_analyses[name]))
         lines.append(
             f"{best_name}: no fault found"
-            + (", and the smallest errors" if len(trustworthy_analyses) > 1 else "")
+            + (", and the smallest errors" if len(good_analyses) > 1 else "")
             + ". "
-            + _join_findings(trustworthy_analyses[best_name].coefficients.values())
+            + _join_findings(good_analyses[best_name].coefficients.values())
         )
-        lines += [
-            f"{name}: no fault found either." for name in trustworthy_analyses if name != best_name
-        ]
+        lines += [f"{name}: no fault found either." for name in good_analyses if name != best_name]
     for name, analysis in analyses.items():
         if not analysis.trustworthy:
             faulty_coefficients = [

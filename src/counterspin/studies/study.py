@@ -114,9 +114,8 @@ def study(
     workers = workers.capped()
     # Workers start during the preparation of the engine.
     with nullcontext() if workers.alone else worker_pool(workers, run_task.__module__) as pool:
-        study_engine = prepare_study(
-            description, description.seed if seed is None else seed, engine
-        )
+        seed = description.seed if seed is None else seed
+        study_engine = prepare_study(description, seed, engine)
         _check_memory(study_engine, trials)
         batch_results = BatchResults(
             study_engine, trials, keep_trials=folder is not None and folder.keep_trials
@@ -232,12 +231,12 @@ def _make_result(
     undetermined: dict[str, list[str]] = {}
     engine_descriptions: dict[str, str] = {}
     row = 0
-    for analysis_engine in engine.analysis_engines:
+    for analysis in engine.analysis_engines:
         # A two-stage analysis has an engine for each accelerometer.
-        name = analysis_engine.coefficients[0].analysis
-        engine_descriptions.setdefault(name, analysis_engine.description)
-        undetermined.setdefault(name, []).extend(analysis_engine.undetermined)
-        for coefficient in analysis_engine.coefficients:
+        name = analysis.coefficients[0].analysis
+        engine_descriptions.setdefault(name, analysis.description)
+        undetermined.setdefault(name, []).extend(analysis.undetermined)
+        for coefficient in analysis.coefficients:
             unit = unit_of(coefficient.symbol)
             coefficient_name = coefficient.symbol + (
                 f" of {coefficient.owner}" if coefficient.owner else ""
@@ -279,16 +278,14 @@ def _combine_verdicts(verdicts: list[bool | None]) -> bool | None:
 
 
 def _describe_quantity(quantity: VariedQuantity) -> str:
-    name = f"{quantity.owner}.{quantity.symbol}" if quantity.owner else quantity.symbol
     unit = OTHER_QUANTITY_UNITS.get(quantity.symbol) or unit_of(quantity.symbol)
     unit = "" if unit == "1" else f" {unit}"
-    first_text, second_text = (
-        f"{quantity.first_parameter:.6g}{unit}",
-        f"{quantity.second_parameter:.6g}{unit}",
-    )
+    first_text = f"{quantity.first_parameter:.6g}{unit}"
+    second_text = f"{quantity.second_parameter:.6g}{unit}"
     text = {
         "normal": f"normal, mean {first_text}, standard deviation {second_text}",
         "uniform": f"uniform from {first_text} to {second_text}",
         "fixed": first_text,
     }[quantity.distribution]
-    return f"{name}: {text}" + (", drawn separately for each run" if quantity.is_per_run else "")
+    scope = ", drawn separately for each run" if quantity.is_per_run else ""
+    return f"{quantity.name}: {text}{scope}"
