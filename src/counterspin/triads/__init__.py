@@ -1,10 +1,10 @@
 """Three accelerometers of one sensor, and their poses at unknown attitudes.
 
-Readings load this room by name for a campaign with a triad.
+Readings import this package by name for a campaign with a triad.
 
 - `section`: [triad], and runs at unknown attitudes
-- `static_intervals`: rests of a sensor with three axes in one long record
-- `record_poses`, `groups`: poses that were read or found in records, grouped by noise
+- `static_intervals`: rest intervals of a three-axis sensor in one long record
+- `record_poses`, `groups`: poses stated as readings or detected in records, grouped by noise
 - `poses`: poses as data of a fit
 - `determinability`: parameters that the directions of the poses do not determine
 - `patterns`, `checks`: patterns of the residuals of poses, and tests of them

@@ -1,4 +1,4 @@
-"""Tests of the residuals of poses."""
+"""Statistical tests of the residuals of poses."""
 
 from __future__ import annotations
 
@@ -21,15 +21,12 @@ from counterspin.readings.fitted import MIN_DOF, FittedReadings
 from counterspin.readings.patterns import STEP, TERM, Pattern
 from counterspin.reports.numbers import format_number
 
-#: So many terms are named that explain residuals of poses as well as the first.
+#: Largest number of alternative terms in a message.
 _MAX_TERMS: Final = 4
 
 
 def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Finding]:
-    """Return the findings against the poses: residuals that are not noise, and outlying poses.
-
-    fit: Which has them.
-    """
+    """Return the findings on poses: lack of fit, patterns in the residuals, and outliers."""
     findings = []
     patterns = {
         index: pattern
@@ -52,7 +49,7 @@ def pose_findings(fit: JointFit, groups: Sequence[FittedReadings]) -> list[Findi
 
 
 def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
-    """Return the finding that the residuals of poses follow something."""
+    """Return the finding of a pattern in the residuals of poses."""
     best = pattern.alternatives[0]
     z = two_sided_z(pattern.p)
     clause = pattern_clause(best)

@@ -1,4 +1,4 @@
-"""Poses of a campaign's triad in groups by noise."""
+"""Groups of poses with stated or estimated noise."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from counterspin.triads.poses import TriadPoses
 
 
 def all_groups(campaign: Campaign) -> list[Readings | TriadPoses]:
-    """Return all readings of a campaign, those of poses behind the others."""
+    """Return all readings of a campaign in groups, followed by the poses."""
     poses = campaign.triad.poses if campaign.triad else ()
     return [*group_readings(campaign, campaign.readings), *group_poses(campaign, poses)]
 
@@ -27,24 +27,16 @@ def all_groups(campaign: Campaign) -> list[Readings | TriadPoses]:
 def group_poses(
     campaign: Campaign, poses: Sequence[Sequence[Reading]], noise_within_poses: float = 0.0
 ) -> list[TriadPoses]:
-    """Return poses grouped by whether their noise was stated, for all three axes.
+    """Return the poses with stated uncertainties as one group, and the others as another.
 
-    noise_within_poses: Noise from the rows within poses, for poses that state none, g.
+    noise_within_poses: Noise estimated within poses, for poses without a stated one, g.
     """
-    is_stated_by_pose = [all(reading.u is not None for reading in pose) for pose in poses]
-    by_noise_kind = {
-        is_stated: [
-            pose for pose, has_u in zip(poses, is_stated_by_pose, strict=True) if has_u is is_stated
-        ]
-        for is_stated in (True, False)
-    }
-    return [
-        make_group(
-            campaign, has_u, 0.0 if is_stated else noise_within_poses, [pose[0] for pose in poses]
-        )
-        for is_stated, has_u in by_noise_kind.items()
-        if has_u
-    ]
+    groups = []
+    for is_stated, noise in ((True, 0.0), (False, noise_within_poses)):
+        members = [p for p in poses if all(r.u is not None for r in p) is is_stated]
+        if members:
+            groups.append(make_group(campaign, members, noise, [pose[0] for pose in poses]))
+    return groups
 
 
 def make_group(
@@ -53,9 +45,9 @@ def make_group(
     noise_within_poses: float = 0.0,
     all_readings: Sequence[Reading] = (),
 ) -> TriadPoses:
-    """Return poses as one group, whose noise is stated if the noise of all of them is.
+    """Return poses as one group; its noise is stated if that of each reading is.
 
-    all_readings: One reading of every existing pose, if these are not all.
+    all_readings: One reading of each pose of the campaign; default: of these poses.
     """
     first_readings = [pose[0] for pose in poses]
     directions = temperature_directions(campaign, all_readings or first_readings)

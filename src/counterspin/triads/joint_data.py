@@ -24,10 +24,10 @@ from counterspin.triads.poses import TriadPoses
 from counterspin.triads.record_poses import LocatedPose, campaign_poses, pooled_noise
 from counterspin.triads.result import triad_result
 
-#: An input axis that no pose turns below the level by more than asin of this was never down.
+#: An input axis counts as pointing down (or up) if it is steeper than asin of this in a pose.
 _MIN_VERTICAL_COSINE: Final = 0.3
 
-#: Poses whose directions differ by less count as one direction in words, rad (3 deg).
+#: Directions closer than this count as one in messages, rad (3 deg).
 _MIN_SEPARATION: Final = math.radians(3.0)
 
 
@@ -39,11 +39,11 @@ class TriadInFit:
 
     @cached_property
     def poses(self) -> list[LocatedPose]:
-        """Poses that were read, and those found in records."""
+        """Poses stated as readings, and poses detected in records."""
         return campaign_poses(self.campaign)
 
     def groups(self) -> Sequence[TriadPoses]:
-        """Return the poses in groups with noise of one kind."""
+        """Return the poses in groups with stated or estimated noise."""
         if not self.poses:
             return ()
         noise_within_poses = pooled_noise(self.poses, self.campaign.gravity.value)
@@ -59,21 +59,21 @@ class TriadInFit:
 
     @cached_property
     def _findings_cache(self) -> dict[tuple[int, ...], tuple[JointFit, Any, list[Finding]]]:
-        """Fits and groups that were tested, by identity, with their findings."""
+        """Cache of the findings, by the identity of the fit and the groups."""
         return {}
 
     def advice(self, view: AccelerometerView) -> str:
-        """Return the poses that would determine more of an accelerometer with poses only."""
+        """Return the advice for an accelerometer with poses only."""
         return pose_advice(view)
 
     def result(self, estimate: Estimate, groups: Sequence[FittedReadings]) -> TriadResult:
-        """Return the triad as the result states it."""
-        poses_by_name = {poses.pose[0].name: poses for poses in self.poses}
+        """Return the result for the triad."""
+        poses_by_name = {pose.pose[0].name: pose for pose in self.poses}
         return triad_result(self.campaign, estimate, groups, poses_by_name)
 
 
 def pose_advice(view: AccelerometerView) -> str:
-    """Return the poses that would determine more of an accelerometer that has poses only."""
+    """Return advice on the poses that would determine more unknowns."""
     axes: dict[str, list[Array]] = {}
     for fitted_group in pose_groups(view):
         group = fitted_group.readings
@@ -97,15 +97,13 @@ def pose_advice(view: AccelerometerView) -> str:
             f"determine {free_count} unknowns without a prior."
         )
     for direction, sign in (("up", -1.0), ("down", 1.0)):
-        missing_directions = [
+        unturned_names = [
             name
             for name, projections in axes.items()
             if np.min(sign * np.concatenate(projections)) > -_MIN_VERTICAL_COSINE
         ]
-        if missing_directions:
-            sentences.append(
-                f" In no pose does {' or '.join(missing_directions)} point {direction}."
-            )
+        if unturned_names:
+            sentences.append(f" In no pose does {' or '.join(unturned_names)} point {direction}.")
     return (
         "".join(sentences)
         + " Measure poses with directions spread over the whole sphere. Alternatively, request "
@@ -114,7 +112,7 @@ def pose_advice(view: AccelerometerView) -> str:
 
 
 def _count_directions(view: AccelerometerView) -> tuple[int, int]:
-    """Return the number of poses, and of directions that differ by more than `_APART`."""
+    """Return the number of poses, and of directions at least `_MIN_SEPARATION` apart."""
     directions: list[Array] = []
     n_poses = 0
     for fitted_group in pose_groups(view):
@@ -122,9 +120,6 @@ def _count_directions(view: AccelerometerView) -> tuple[int, int]:
         assert isinstance(group, TriadPoses)
         n_poses += group.size
         for direction in group.at(view.fit.model, view.fit.solution.estimate).direction:
-            if all(
-                direction @ counted_direction < math.cos(_MIN_SEPARATION)
-                for counted_direction in directions
-            ):
+            if all(direction @ other < math.cos(_MIN_SEPARATION) for other in directions):
                 directions.append(direction)
     return n_poses, len(directions)

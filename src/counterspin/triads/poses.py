@@ -1,9 +1,9 @@
-"""Poses of a triad at unknown attitudes: of each, what three accelerometers say of |f|.
+"""Poses of a triad at unknown attitudes as data of a fit.
 
-At rest the specific force is g, in a direction that the pose's own two angles give. Turning the
-triad a little moves its three indications in a plane, so that one combination of them, along the
-force, is left once the angles are eliminated: one row a pose, whatever the noise of each
-accelerometer. The angles themselves are those that fit the three indications best.
+At rest the specific force is g, and two angles per pose give its direction. A small rotation moves
+the three indications within a plane, so eliminating the angles leaves one combination of them,
+along the force: one row per pose, whatever the noise of each accelerometer. The angles themselves
+are those that fit the three indications best.
 """
 
 from __future__ import annotations
@@ -31,52 +31,52 @@ from counterspin.triads.determinability import default_candidates, undetermined_
 
 _SYMBOLS: Final = tuple(TERMS)
 
-#: Rounds in which a pose's two angles settle; each leaves a residual's part of the last error.
+#: Iterations for the two angles of a pose; each multiplies the error by about the residual.
 _MAX_ITERATIONS: Final = 40
 
-#: Settled: no direction moves by more, rad.
+#: The iteration has converged when no direction moves by more, rad.
 _CONVERGENCE_TOLERANCE: Final = 1e-14
 
-#: Sensitivities that a start without a guess may find, of the nominal one.
+#: Range of credible sensitivities for the initial values, relative to the nominal one.
 _CREDIBLE_SENSITIVITIES: Final = (0.2, 5.0)
 
-#: A quadric whose columns are worse conditioned says nothing of poses.
+#: Condition number above which the poses do not determine a sphere or an ellipsoid.
 _MAX_CONDITION_NUMBER: Final = 1e4
 
 
 @frozen
 class TriadPoses:
-    """Poses of three accelerometers at rest, n of them, with noise of one kind."""
+    """Group of n poses of three accelerometers at rest, whose noise is stated or estimated."""
 
-    accelerometers: tuple[str, ...]  #: Their names, the first two of which span the frame.
+    accelerometers: tuple[str, ...]  #: The first two span the frame.
     names: tuple[str, ...]  #: Of the poses.
-    #: Each accelerometer's axes I, P, O in the triad's frame, rows, shape (3, 3, 3).
+    #: Axes I, P, O of each accelerometer in the frame of the triad, as rows, shape (3, 3, 3).
     axes: Array
     gravity: float  #: Of the site, m/s^2.
-    #: Indications in g by the nominal sensitivities, and their standard uncertainties, shape
-    #: (n, 3); None: one for all, estimated from the residuals.
+    #: Indications in g at nominal sensitivity, and their standard uncertainties, shape (n, 3).
+    #: None: one noise for all, estimated from the residuals.
     value: Array
     u: Array | None
     #: Conditions relative to the reference, as in `relative_conditions`, each of shape (n,).
     conditions: Mapping[str, Array]
-    #: How many repeats each indication is the mean of, and the sum of all squares about their
-    #: means, g^2, shape (n,). Where `u` is None.
+    #: If `u` is None: number of repeats per indication, and the sum of squares about their means,
+    #: g^2, shape (n,).
     repeats: Array
     scatter: Array
-    #: 1 where a value was written in m/s^2 and became g by the gravity assumed, else 0, (n, 3).
+    #: 1 for values converted from m/s^2 with the assumed gravity, else 0, shape (n, 3).
     in_si: Array
-    noise_within_poses: float = 0.0  #: What is known of the noise from within the poses, g.
-    resolution: float = 0.0  #: One of the last digit that was written, g.
+    noise_within_poses: float = 0.0  #: Noise estimated within the poses, g.
+    resolution: float = 0.0  #: One unit of the last written digit, g.
     motion: str = "poses"
 
     @property
     def accelerometer(self) -> str:
-        """All of them in one word."""
+        """Names of the three accelerometers, joined."""
         return ", ".join(self.accelerometers)
 
     @property
     def time(self) -> Array:
-        """Times from the beginning of the campaign, s, shape (n,)."""
+        """Times since the start of the campaign, s, shape (n,)."""
         return self.conditions["time"]
 
     @property
@@ -86,7 +86,7 @@ class TriadPoses:
 
     @property
     def noise_floor(self) -> float:
-        """The least noise that they can be said to have, g; see `Readings.noise_floor`."""
+        """Smallest credible noise, g; see `Readings.noise_floor`."""
         max_value = float(np.max(np.abs(self.value), initial=1e-3))
         return max(
             self.noise_within_poses,
@@ -96,26 +96,26 @@ class TriadPoses:
 
     @property
     def replicates(self) -> tuple[tuple[int, ...], ...]:
-        """Nobody knows whether two poses are one."""
+        """Empty: unknown attitudes cannot be compared."""
         return ()
 
     @property
     def position(self) -> tuple[str, ...]:
-        """Nobody has set them."""
+        """Empty: no position was set."""
         return ()
 
     @property
     def repeat_dof(self) -> float:
-        """Degrees of freedom that repeats in one pose have among themselves, of all three."""
+        """Degrees of freedom of the repeats within poses, for all three accelerometers."""
         return 3.0 * float(np.sum(self.repeats - 1.0))
 
     def linearize(
         self,
         model: Unknowns,
         estimate: Array,
-        variance: Array | None = None,  # noqa: ARG002 -- nothing of a pose is of second order
+        variance: Array | None = None,  # noqa: ARG002 -- no second-order term in a pose
     ) -> LinearReadings:
-        """Return one row a pose at an estimate, the pose's angles eliminated."""
+        """Return one row per pose at an estimate, with the angles of the pose eliminated."""
         point = self.at(model, estimate)
         columns = self._columns(point)
         offset = point.indicated - columns @ point.values
@@ -132,7 +132,7 @@ class TriadPoses:
         )
 
     def _columns(self, point: SolvedPoses) -> Array:
-        """Return the derivatives of the indications by everything, shape (n, 3, p)."""
+        """Return the derivatives of the indications by the unknowns, shape (n, 3, p)."""
         columns = np.zeros((self.size, 3, len(point.unknowns)))
         for index, axis_index, term, factor in design_factors(self, point.unknowns):
             columns[:, axis_index, index] = point.products[:, axis_index, term] * factor
@@ -141,15 +141,14 @@ class TriadPoses:
     def curvature(self, model: Unknowns, estimate: Array, steps: Array) -> Array:
         """Return the second-order change of each row as the unknowns move, shape (n, m).
 
-        A move turns the force that the indications give. Its length, which is known, then changes
-        by half the square of the turn.
+        A step rotates the force that the indications give. The known length of the force then
+        changes by half the square of the rotation.
 
-        steps: Of the unknowns from the estimate, shape (p, m).
+        steps: Steps of the unknowns from the estimate, shape (p, m).
         """
         point = self.at(model, estimate)
-        _, slopes = _indications_and_slopes(
-            self.axes, point.direction, _active_terms(point.effective)
-        )
+        terms = _active_terms(point.effective)
+        _, slopes = _indications_and_slopes(self.axes, point.direction, terms)
         columns = self._columns(point)[:, :, : len(steps)]
         change = np.linalg.solve(slopes, columns @ steps)
         radial = np.einsum("nj,njm->nm", point.direction, change)
@@ -158,9 +157,9 @@ class TriadPoses:
         return 0.5 * point.gain[:, None] * squared_rotation
 
     def at(self, model: Unknowns, estimate: Array) -> SolvedPoses:
-        """Return the poses under the coefficients of an estimate, their angles found.
+        """Return the poses solved for their angles, given the coefficients of an estimate.
 
-        estimate: The unknowns less nominal; considered terms that it lacks are as assumed.
+        estimate: Unknowns minus nominal; missing considered terms have their prior means.
         """
         unknowns = (*model.unknowns, *model.considered)
         assumed_values = [parameter.prior_mean for parameter in unknowns[len(estimate) :]]
@@ -178,11 +177,11 @@ class TriadPoses:
 
     @cached_property
     def _last_solved(self) -> dict[str, Any]:
-        """The last values that `at` received, and the poses at them."""
+        """Cache of `at`: the last values, and the poses solved at these values."""
         return {}
 
     def start(self, unknowns: Sequence[Unknown], point: Array) -> Array:
-        """Return a place to begin at without a guess: of biases, sensitivities and angles."""
+        """Return initial values of biases, sensitivities and misalignments from the poses."""
         bias, rows = _fit_ellipsoid(self.value, self.axes)
         initial_values = {"K_F": bias}
         for symbol, (axis, sign) in SENSITIVITY_TERMS.items():
@@ -211,7 +210,7 @@ class TriadPoses:
     def with_rotated_mounting(
         self, name: str, rotate: Callable[[Mounting], Mounting]
     ) -> TriadPoses:
-        """Return the poses with an accelerometer mounted otherwise."""
+        """Return the poses with the mounting of one accelerometer rotated."""
         if name not in self.accelerometers:
             return self
         axes, index = self.axes.copy(), self.accelerometers.index(name)
@@ -231,29 +230,29 @@ class TriadPoses:
     def insufficient_noise_message(
         self, dof: float, n_free: int, solution: Solution, model: Unknowns
     ) -> str:
-        """Return the error that the residuals do not determine their noise; as in `Measured`."""
+        """Return an error message if the residuals do not determine the noise, as in `Measured`."""
         if dof >= 0.5 and self.size + self.repeat_dof > n_free:
             return ""
         return _insufficient_poses_error(self, solution, model)
 
     def divergence_message(self, n_iterations: int) -> str:
-        """Return the error that the fit did not converge in so many rounds."""
+        """Return the error message of a fit that did not converge."""
         return _divergence_error(self, n_iterations)
 
 
 @frozen
 class SolvedPoses:
-    """Poses under given coefficients, each turned so that its three indications fit best."""
+    """Poses at given coefficients, with the directions that fit their three indications best."""
 
-    unknowns: tuple[Unknown, ...]  #: What is estimated, then what is considered.
-    values: Array  #: Of these, less nominal.
-    effective: Array  #: The coefficients at each pose, shape (n, 3, number of `TERMS`).
-    direction: Array  #: Of the specific force in the triad's frame, unit vectors, shape (n, 3).
-    products: Array  #: Of every term, shape (n, 3, number of `TERMS`).
-    indicated: Array  #: By the coefficients, g, shape (n, 3).
-    #: The combination of the three indications that no turn changes, unit vectors, (n, 3).
+    unknowns: tuple[Unknown, ...]  #: Estimated parameters, followed by considered ones.
+    values: Array  #: Values of `unknowns` minus nominal.
+    effective: Array  #: Coefficients at each pose, shape (n, 3, number of `TERMS`).
+    direction: Array  #: Unit vectors of the specific force in the triad's frame, shape (n, 3).
+    products: Array  #: Specific-force product of each term, shape (n, 3, number of `TERMS`).
+    indicated: Array  #: Predicted indications, g, shape (n, 3).
+    #: Unit vectors of the combination of indications that no rotation changes, shape (n, 3).
     projection: Array
-    gain: Array  #: What it grows by as the specific force grows, shape (n,).
+    gain: Array  #: Derivative of this combination by the specific force, shape (n,).
 
     @classmethod
     def solve_directions(
@@ -295,11 +294,11 @@ class SolvedPoses:
 def predict_indications(
     poses: TriadPoses, coefficients: Sequence[Mapping[str, float]], direction: Array
 ) -> Array:
-    """Return the indications of a triad in poses of given directions, g, shape (n, 3).
+    """Return the indications of a triad for given directions of the specific force, g, (n, 3).
 
-    coefficients: Of each accelerometer, slopes included; those not named are nominal.
-    direction: Of the specific force in the triad's frame: unit vectors at rest, in motion the force
-        itself in g; shape (n, 3).
+    coefficients: Coefficients and slopes of each accelerometer by symbol; the others are nominal.
+    direction: Specific force in the frame of the triad, shape (n, 3): unit vectors at rest, the
+        force in g in motion.
     """
     effective = np.tile([row.nominal for row in TERMS.values()], (poses.size, 3, 1))
     for index, values in enumerate(coefficients):
@@ -310,19 +309,19 @@ def predict_indications(
 
 
 def design_factor(poses: TriadPoses, symbol: str) -> Array:
-    """Return the factor of a coefficient, or of its slope, shape (n,)."""
+    """Return the factor of a coefficient or slope in each pose, shape (n,)."""
     return ACCELEROMETER_TERMS[symbol].effect.design_factors(poses.conditions)
 
 
 def _term_index(symbol: str) -> int:
-    """Return the place of a coefficient, or of the one that a slope changes."""
+    """Return the index in `TERMS` of a coefficient, or of the coefficient that a slope changes."""
     return _SYMBOLS.index(coefficient_of(symbol))
 
 
 def design_factors(
     poses: TriadPoses, unknowns: Sequence[Unknown]
 ) -> Iterator[tuple[int, int, int, Array]]:
-    """Yield for each coefficient, or slope of one: its index, whose, of which term, times what."""
+    """Yield the index, accelerometer, term and factor of each unknown coefficient and slope."""
     for index, unknown in enumerate(unknowns):
         symbol = unknown.symbol
         if unknown.owner in poses.accelerometers and symbol in ACCELEROMETER_TERMS:
@@ -331,7 +330,7 @@ def design_factors(
 
 
 def _term_products(axes: Array, direction: Array) -> Array:
-    """Return every term's product at poses, shape (n, 3, number of `TERMS`)."""
+    """Return the specific-force product of each term, shape (n, 3, number of `TERMS`)."""
     a_ipo = _force_along_axes(axes, direction)
     effects = (row.effect for row in TERMS.values())
     return np.stack([effect.evaluate(a_ipo, sign_width=SIGN_WIDTH) for effect in effects], axis=-1)
@@ -347,7 +346,7 @@ _ActiveTerms = list[tuple[SpecificForceProduct, Array]]
 
 
 def _active_terms(effective: Array) -> _ActiveTerms:
-    """Return the products with coefficients that are not all zero, which have shape (n, 3)."""
+    """Return the products with nonzero coefficients, and these coefficients, shape (n, 3)."""
     columns = zip(TERMS.values(), np.moveaxis(effective, 2, 0), strict=True)
     return [(row.effect, column.copy()) for row, column in columns if column.any()]
 
@@ -355,10 +354,7 @@ def _active_terms(effective: Array) -> _ActiveTerms:
 def _indications_and_slopes(
     axes: Array, direction: Array, terms: _ActiveTerms
 ) -> tuple[Array, Array]:
-    """Return the indications at poses, g, and their slopes by the direction.
-
-    Returns: shapes (n, 3) and (n, 3, 3).
-    """
+    """Return the indications, g, (n, 3), and their derivatives by the direction, (n, 3, 3)."""
     a_ipo = _force_along_axes(axes, direction)
     indications, slopes_by_axis = np.zeros(a_ipo.shape[1:]), np.zeros((3, *a_ipo.shape[1:]))
     for effect, coefficient in terms:
@@ -370,7 +366,7 @@ def _indications_and_slopes(
 
 
 def _tangent_basis(direction: Array) -> Array:
-    """Return two unit vectors at right angles to each direction and other, shape (n, 3, 2)."""
+    """Return two orthogonal unit vectors perpendicular to each direction, shape (n, 3, 2)."""
     reference = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
     tangent = np.cross(direction, reference)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
@@ -378,54 +374,45 @@ def _tangent_basis(direction: Array) -> Array:
 
 
 def _initial_directions(poses: TriadPoses, effective: Array) -> Array:
-    """Return the directions that bias, sensitivity and misalignments alone give."""
+    """Return the directions from biases, sensitivities and misalignments alone."""
     bias, rows = effective[:, :, _SYMBOLS.index("K_F")], np.zeros((poses.size, 3, 3))
     for symbol, (axis, sign) in SENSITIVITY_TERMS.items():
         coefficient = sign * effective[:, :, _SYMBOLS.index(symbol)]
         rows += coefficient[:, :, None] * poses.axes[:, axis]
-    directions = np.asarray(
-        np.linalg.solve(rows, (poses.value - bias)[:, :, None])[:, :, 0], np.float64
-    )
-    return np.asarray(directions / np.linalg.norm(directions, axis=1)[:, None], np.float64)
+    forces = np.linalg.solve(rows, (poses.value - bias)[:, :, None])[:, :, 0]
+    return np.asarray(forces / np.linalg.norm(forces, axis=1)[:, None], np.float64)
 
 
 def _fit_ellipsoid(value: Array, axes: Array) -> tuple[Array, Array]:
-    """Return biases and the vectors along which the three feel, as poses show them without a guess.
+    """Return initial biases and sensitivity vectors.
 
-    First one sensitivity for all by the norm of the indications, then a sphere, then an ellipsoid,
-    each where the poses determine it.
+    The start is one sensitivity, the norm of the indications. A sphere and then an ellipsoid
+    replace it if the poses determine them.
 
-    Returns: g, shape (3,); in the triad's frame, g/g, shape (3, 3).
+    Returns: biases in g, shape (3,); vectors in the frame of the triad in g/g, shape (3, 3).
     """
     nominal_axes = axes[:, 0]
     nominal_force: Array = np.asarray(np.linalg.solve(nominal_axes, value.T).T, np.float64)
     rms_force = float(np.sqrt(np.mean(np.sum(nominal_force**2, axis=1))))
     bias, gram = np.zeros(3), rms_force**2 * np.eye(3)
-    sphere_coefficients = _least_squares(
-        2.0 * nominal_force, np.sum(nominal_force**2, axis=1), constant=True
-    )
-    if sphere_coefficients is not None:
-        squared_sensitivity = sphere_coefficients[3] + float(
-            sphere_coefficients[:3] @ sphere_coefficients[:3]
-        )
+    sphere = _least_squares(2.0 * nominal_force, np.sum(nominal_force**2, axis=1), constant=True)
+    if sphere is not None:
+        centre = sphere[:3]
+        squared_sensitivity = sphere[3] + float(centre @ centre)
         if (
             _all_credible(np.array([squared_sensitivity]))
-            and np.linalg.norm(sphere_coefficients[:3]) < _CREDIBLE_SENSITIVITIES[1]
+            and np.linalg.norm(centre) < _CREDIBLE_SENSITIVITIES[1]
         ):
-            bias, gram = sphere_coefficients[:3], squared_sensitivity * np.eye(3)
+            bias, gram = centre, squared_sensitivity * np.eye(3)
     x, y, z = (nominal_force - bias).T
-    columns = np.column_stack(
-        [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z]
-    )
-    quadric_coefficients = _least_squares(columns, np.ones(len(nominal_force)))
-    if quadric_coefficients is not None:
-        xx, yy, zz, xy, xz, yz = quadric_coefficients[:6]
-        quadratic_form = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if np.linalg.eigvalsh(quadratic_form)[0] > 0.0:
-            centre = -np.linalg.solve(quadratic_form, quadric_coefficients[6:])
-            ellipsoid_gram = (1.0 + centre @ quadratic_form @ centre) * np.linalg.inv(
-                quadratic_form
-            )
+    products = [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z]
+    quadric = _least_squares(np.column_stack(products), np.ones(len(nominal_force)))
+    if quadric is not None:
+        xx, yy, zz, xy, xz, yz = quadric[:6]
+        quadratic = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if np.linalg.eigvalsh(quadratic)[0] > 0.0:
+            centre = -np.linalg.solve(quadratic, quadric[6:])
+            ellipsoid_gram = (1.0 + centre @ quadratic @ centre) * np.linalg.inv(quadratic)
             if _all_credible(np.linalg.eigvalsh(ellipsoid_gram)):
                 bias, gram = bias + centre, np.asarray(ellipsoid_gram, np.float64)
     gram = nominal_axes @ gram @ nominal_axes.T
@@ -443,7 +430,7 @@ def _all_credible(squared_sensitivities: npt.NDArray[np.float64]) -> bool:
 
 
 def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> Array | None:
-    """Return the solution; None where the rows do not determine it."""
+    """Return the least-squares solution, or None if the rows do not determine it."""
     constants = np.ones((target.size, int(constant)))
     design: Array = np.hstack([columns, constants])
     norms = np.linalg.norm(design, axis=0)
@@ -455,7 +442,7 @@ def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> 
 
 
 def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unknowns) -> str:
-    """Return that poses tell no noise, and what they do not determine besides."""
+    """Return the error message of poses that do not determine their noise."""
     free_names = [u.name for u in model.unknowns if math.isinf(u.prior[1])]
     requested_names = [unknown.name for unknown in model.unknowns if unknown.is_of_interest]
     determined = assess(solution, requested_names).determined
@@ -481,7 +468,7 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
 
 
 def _divergence_error(poses: TriadPoses, n_iterations: int) -> str:
-    """Return why poses may leave a fit without an end: they lie too near each other."""
+    """Return the error message of a fit that does not converge, as for nearly equal directions."""
     unit_vectors = poses.value / np.linalg.norm(poses.value, axis=1)[:, None]
     mean_direction = unit_vectors.mean(axis=0)
     max_angle = math.degrees(

@@ -1,4 +1,4 @@
-"""Poses of a campaign's triad: those that were read, and those found in records."""
+"""Poses of the triad of a campaign: stated as readings, or detected in records."""
 
 from __future__ import annotations
 
@@ -18,34 +18,32 @@ from counterspin.triads.static_intervals import StaticIntervals, read_poses
 
 @frozen(eq=False)
 class RecordWithPoses:
-    """A record with poses in it, and what was found."""
+    """A record with poses, and its rest intervals."""
 
-    name: str  #: Of the run.
-    poses: StaticIntervals  #: Where the triad lay still; forces in m/s^2.
-    report: RecordReport  #: What the reading found.
+    name: str  #: Name of the run.
+    poses: StaticIntervals  #: Rest intervals, with forces in m/s^2.
+    report: RecordReport  #: Report on reading the file.
 
 
 @frozen(eq=False)
 class LocatedPose:
-    """A pose: the readings of all three, and where it was found."""
+    """A pose: the readings of all three accelerometers, and its position in a record."""
 
     pose: tuple[Reading, ...]  #: In the order of the triad's accelerometers.
-    record: RecordWithPoses | None = None  #: The record that it was found in; None: it was read.
-    index: int = 0  #: Among the poses of the record.
+    record: RecordWithPoses | None = None  #: Record with the pose; None: stated as readings.
+    index: int = 0  #: Index among the poses of the record.
 
     @property
     def scatter_noise(self) -> float:
-        """Standard deviation of the means of a record if its rows are independent, m/s^2."""
+        """Standard deviation of the mean values if the rows are independent, m/s^2."""
         if self.record is None:
             return 0.0
-        intervals = self.record.poses
-        return float(
-            np.sqrt(np.mean(intervals.scatter[self.index] ** 2) / intervals.count[self.index])
-        )
+        poses = self.record.poses
+        return float(np.sqrt(np.mean(poses.scatter[self.index] ** 2) / poses.count[self.index]))
 
 
 def campaign_poses(campaign: Campaign) -> list[LocatedPose]:
-    """Return every pose of a campaign's triad."""
+    """Return all poses of the triad of a campaign."""
     if campaign.triad is None:
         return []
     stated_poses = [LocatedPose(pose) for pose in campaign.triad.poses]
@@ -56,13 +54,9 @@ def campaign_poses(campaign: Campaign) -> list[LocatedPose]:
 
 
 def pooled_noise(poses: Sequence[LocatedPose], gravity: float) -> float:
-    """Return the noise estimated within the poses found in records, g."""
-    pose_noises = [pose.scatter_noise for pose in poses if pose.record is not None]
-    return (
-        math.sqrt(sum(noise**2 for noise in pose_noises) / len(pose_noises)) / gravity
-        if pose_noises
-        else 0.0
-    )
+    """Return the noise estimated within the poses of records, g; 0 without records."""
+    noises = [pose.scatter_noise for pose in poses if pose.record is not None]
+    return math.sqrt(sum(n**2 for n in noises) / len(noises)) / gravity if noises else 0.0
 
 
 def pose_columns(campaign: Campaign, record: PoseRecord) -> RecordColumns:
@@ -72,7 +66,7 @@ def pose_columns(campaign: Campaign, record: PoseRecord) -> RecordColumns:
 
 
 def _force_columns(campaign: Campaign) -> dict[str, ColumnSpec]:
-    """Return the columns of specific force of a triad's accelerometers."""
+    """Return the specific-force columns of the accelerometers of the triad."""
     names = campaign.triad.accelerometers if campaign.triad else ()
     forces = {name: campaign.accelerometers[name].force for name in names}
     return {name: force for name, force in forces.items() if force is not None}
@@ -81,7 +75,7 @@ def _force_columns(campaign: Campaign) -> dict[str, ColumnSpec]:
 def extract_poses(campaign: Campaign, record: PoseRecord) -> Iterator[LocatedPose]:
     """Yield the poses of a record, each with its means as readings."""
     g, source = campaign.gravity.value, campaign.record_at(record.record)
-    # Within a record times are known, from its first row, whether or not it says when it began.
+    # Times within a record are known from its first row even if its start time is not.
     start_time = reference_point(campaign).time if record.time is None else record.time
     in_si = {name: not channel.in_g for name, channel in _force_columns(campaign).items()}
     columns = pose_columns(campaign, record)

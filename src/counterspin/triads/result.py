@@ -1,9 +1,9 @@
-"""Results for three accelerometers as one sensor: NIST's nine parameters, and the poses.
+"""Results for three accelerometers as one sensor: the nine intrinsic parameters, and the poses.
 
-The parameters do not depend on how the triad stands in its frame: three offsets, three
-sensitivities and the three angles between the axes along which the accelerometers feel (Geist,
-Gaitan et al., Gravity-Based Characterization of Three-Axis Accelerometers in Terms of Intrinsic
-Accelerometer Parameters, J. Res. NIST 122 (2017) 32).
+The parameters do not depend on the orientation of the triad in its frame: three offsets, three
+sensitivities and the three angles between the sensitive axes (Geist, Gaitan et al., Gravity-Based
+Characterization of Three-Axis Accelerometers in Terms of Intrinsic Accelerometer Parameters,
+J. Res. NIST 122 (2017) 32).
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ from counterspin.readings.joint_data import combination_dof
 from counterspin.triads.poses import SolvedPoses, TriadPoses, design_factors
 from counterspin.triads.record_poses import LocatedPose
 
-#: Points of what is drawn of the search for rests.
+#: Points of the trace of the level that a result stores for its figure.
 _TRACE_POINTS: Final = 600
 
 _SYMBOLS: Final = tuple(TERMS)
 
-#: A parameter follows unknowns that are not determined if its slope by one is larger, and if the
-#: data take away less than half of what their default priors contribute.
+#: A parameter depends on undetermined unknowns if its slope by one of them is larger than this,
+#: and if their default priors still contribute more than this fraction after the fit.
 _DEFAULT_FRACTION: Final = 0.5
 
-#: An angle depends no more on where the axes point than by rounding.
+#: Smaller slopes are rounding errors.
 _NEGLIGIBLE_SLOPE: Final = 1e-12
 
 
 @frozen
 class _DerivedParameter:
-    """A parameter at an estimate, and how it follows the unknowns."""
+    """Value of a parameter at an estimate, and its derivatives by the unknowns."""
 
     value: float
     slopes: Array  # by the unknowns, (p,)
@@ -66,10 +66,9 @@ def triad_result(
     fitted_groups: Sequence[FittedReadings],
     poses_by_name: Mapping[str, LocatedPose],
 ) -> TriadResult:
-    """Return the campaign's triad.
+    """Return the result for the triad of a campaign.
 
     fitted_groups: Readings and poses in the fit.
-    poses_by_name: By name.
     """
     assert campaign.triad is not None
     names = campaign.triad.accelerometers
@@ -85,7 +84,7 @@ def triad_result(
     }
     determined_names = [name for name, coefficient in coefficients.items() if coefficient.estimated]
     undetermined_names = [
-        name for name, coefficient in coefficients.items() if coefficient.value is None
+        name for name, parameter in coefficients.items() if parameter.value is None
     ]
     matrix = None if undetermined_names else linear_model.inverse()
     poses: list[PoseResult] = []
@@ -129,7 +128,7 @@ def triad_result(
 
 @frozen(eq=False)
 class _LinearModel:
-    """Biases of a triad, and the vectors along which its accelerometers feel."""
+    """Biases and sensitivity vectors of a triad at an estimate."""
 
     names: Sequence[str]
     indices: Mapping[tuple[str, str], int]  # of the unknowns, p of them
@@ -156,12 +155,12 @@ class _LinearModel:
         rows = [
             sum(
                 (
-                    sign * value(name, symbol) * axes_of_one[axis]
+                    sign * value(name, symbol) * matrix[axis]
                     for symbol, (axis, sign) in SENSITIVITY_TERMS.items()
                 ),
                 np.zeros(3),
             )
-            for name, axes_of_one in zip(names, axes, strict=True)
+            for name, matrix in zip(names, axes, strict=True)
         ]
         return cls(
             names,
@@ -173,14 +172,12 @@ class _LinearModel:
         )
 
     def inverse(self) -> Array:
-        """Return the matrix that takes indications less biases to the triad's frame, (3, 3)."""
-        inverse_matrix: Array = (
-            np.linalg.inv(self.rows).astype(np.float64) + 0.0
-        )  # which leaves no -0.0
-        return inverse_matrix
+        """Return the matrix from indications minus biases to the frame of the triad, (3, 3)."""
+        inverse: Array = np.linalg.inv(self.rows).astype(np.float64) + 0.0  # turns -0.0 into 0.0
+        return inverse
 
     def slopes(self, name: str, slopes_by_symbol: Mapping[str, float]) -> Array:
-        """Return slopes by the unknowns, (p,), of what has slopes by an accelerometer's terms."""
+        """Return slopes by the unknowns, (p,), given the slopes by terms of an accelerometer."""
         derivatives = np.zeros(self.count)
         for symbol, slope in slopes_by_symbol.items():
             if (name, symbol) in self.indices:
@@ -188,7 +185,7 @@ class _LinearModel:
         return derivatives
 
     def row_slopes(self, index: int, slope: Array) -> Array:
-        """Return slopes by the unknowns of what has a slope by an accelerometer's vector."""
+        """Return slopes by the unknowns, (p,), given the slope by a sensitivity vector, (3,)."""
         axes_rows = self.axes[index]
         return self.slopes(
             self.names[index],
@@ -202,15 +199,12 @@ class _LinearModel:
 def _derive_parameters(
     campaign: Campaign, linear_model: _LinearModel, estimate: Estimate
 ) -> Iterator[tuple[str, _DerivedParameter]]:
-    """Yield the nine parameters, and the terms of second order that were asked for."""
+    """Yield the nine intrinsic parameters, followed by the requested higher-order terms."""
     names, indices = linear_model.names, linear_model.indices
     for index, name in enumerate(names):
         limit = campaign.limit_of("K_F", name)
-        slopes = linear_model.slopes(name, {"K_F": 1.0})
-        yield (
-            f"offset.{name}",
-            _DerivedParameter(float(linear_model.bias[index]), slopes, "g", limit),
-        )
+        slopes, value = linear_model.slopes(name, {"K_F": 1.0}), float(linear_model.bias[index])
+        yield f"offset.{name}", _DerivedParameter(value, slopes, "g", limit)
     norms = np.linalg.norm(linear_model.rows, axis=1)
     unit_vectors = linear_model.rows / norms[:, None]
     for index, name in enumerate(names):
@@ -246,46 +240,34 @@ def _derive_parameters(
                 index = indices[name, symbol]
                 value = TERMS[symbol].nominal + float(estimate.fit.solution.estimate[index])
                 limit = campaign.limit_of(symbol, name)
-                slopes = linear_model.slopes(name, {symbol: 1.0})
-                yield (
-                    f"{name}.{symbol}",
-                    _DerivedParameter(value, slopes, TERMS[symbol].unit, limit),
-                )
+                slopes, unit = linear_model.slopes(name, {symbol: 1.0}), TERMS[symbol].unit
+                yield f"{name}.{symbol}", _DerivedParameter(value, slopes, unit, limit)
 
 
 def _misalignment_slopes(
     linear_model: _LinearModel, name: str, sensitivity: float, requested: Sequence[Unknown]
 ) -> Array:
-    """Return slopes of a sensitivity, (p,), that stand for the squares of its misalignments.
+    """Return slopes of a sensitivity, (p,), for the squares of undetermined misalignments.
 
-    A misalignment d adds d^2/2 to the length of a vector. Of one that is not determined, this has
-    the mean s^2/2 and the variance s^4/2 over its default prior s; the slope times s is the root
-    mean square.
+    A misalignment d adds d^2/2 to the length of the sensitivity vector. With a default prior of
+    standard uncertainty s, this has the mean s^2/2 and the variance s^4/2. The slope times s is
+    the root mean square.
     """
-    default_sds = {
+    sds = {
         unknown.symbol: unknown.default_sd
         for unknown in requested
-        if unknown.owner == name and unknown.uses_fallback_prior
+        if unknown.owner == name
+        and unknown.uses_fallback_prior
+        and unknown.symbol.startswith("delta_")
     }
-    misalignments = {
-        symbol: default_sd
-        for symbol, default_sd in default_sds.items()
-        if symbol.startswith("delta_")
-    }
-    rms_factor = math.sqrt(len(misalignments) / 4.0 + 0.5)
-    return linear_model.slopes(
-        name,
-        {
-            symbol: rms_factor * default_sd / sensitivity
-            for symbol, default_sd in misalignments.items()
-        },
-    )
+    rms_factor = math.sqrt(len(sds) / 4.0 + 0.5)
+    return linear_model.slopes(name, {s: rms_factor * sd / sensitivity for s, sd in sds.items()})
 
 
 def _make_coefficient(
     estimate: Estimate, parameter: _DerivedParameter, groups: Sequence[FittedReadings]
 ) -> Coefficient:
-    """Return a parameter as a result shows it; one that is not determined has no value."""
+    """Return a parameter as a coefficient of the result, without a value if undetermined."""
     fit = estimate.fit
     if np.max(np.abs(parameter.slopes), initial=0.0) < _NEGLIGIBLE_SLOPE:
         return Coefficient(value=parameter.value, u=0.0, unit=parameter.unit, estimated=False)
@@ -295,10 +277,9 @@ def _make_coefficient(
     indices = np.flatnonzero(np.abs(parameter.slopes) > _NEGLIGIBLE_SLOPE)
     prior_u = float(np.linalg.norm(parameter.slopes[indices] * fit.solution.prior_sd[indices]))
     if combination.u**2 > MAX_VARIANCE_RATIO * prior_u**2:
-        # What is known beforehand is all there is.
-        return Coefficient(
-            value=parameter.value, u=combination.u, unit=parameter.unit, estimated=False
-        )
+        # The fit adds no information to the prior.
+        u, unit = combination.u, parameter.unit
+        return Coefficient(value=parameter.value, u=u, unit=unit, estimated=False)
     u_noise, u_stated, u_unstated = u_by_category(fit, parameter.slopes)
     return Coefficient(
         value=parameter.value,
@@ -315,20 +296,17 @@ def _make_coefficient(
 def _is_default_only(
     estimate: Estimate, parameter: _DerivedParameter, combination: Combination
 ) -> bool:
-    """Return whether a parameter is known only by default priors of undetermined unknowns."""
+    """Return whether only default priors of undetermined unknowns determine a parameter."""
     fit = estimate.fit
-    has_fallback_prior = [unknown.uses_fallback_prior for unknown in fit.model.unknowns]
-    slopes, contributions = (
-        parameter.slopes[has_fallback_prior],
-        combination.prior[has_fallback_prior],
-    )
-    prior_norm = np.linalg.norm(slopes * fit.solution.prior_sd[has_fallback_prior])
+    is_default = [unknown.uses_fallback_prior for unknown in fit.model.unknowns]
+    slopes, contributions = parameter.slopes[is_default], combination.prior[is_default]
+    prior_norm = np.linalg.norm(slopes * fit.solution.prior_sd[is_default])
     is_dependent = np.max(np.abs(slopes), initial=0.0) > _DEFAULT_FRACTION
     return bool(is_dependent and np.linalg.norm(contributions) > _DEFAULT_FRACTION * prior_norm)
 
 
 def _parameter_dof(estimate: Estimate, slopes: Array, groups: Sequence[FittedReadings]) -> float:
-    """Return the degrees of freedom of a parameter; of records' noise the least of its parts."""
+    """Return the degrees of freedom of a parameter; records count with their smallest number."""
     fit, record_dof = estimate.fit, math.inf
     if fit.design_blocks:
         record_dof = float(np.min(estimate.dof[np.abs(slopes) > _NEGLIGIBLE_SLOPE]))
@@ -366,7 +344,7 @@ def _gravity_sensitivities(
 
 
 def _u_matrix(estimate: Estimate, linear_model: _LinearModel, matrix: Array) -> list[list[float]]:
-    """Return the standard uncertainties of the matrix: it moves by -M dR M with the rows R."""
+    """Return the standard uncertainties of the matrix M, from dM = -M dR M with the rows R."""
     u_values = np.zeros((3, 3))
     for row, column in np.ndindex(3, 3):
         slopes = sum(
@@ -386,7 +364,7 @@ def _pose_results(
     solved_poses: SolvedPoses,
     poses_by_name: Mapping[str, LocatedPose],
 ) -> Iterator[PoseResult]:
-    """Yield the poses as a result shows them, and where they were found."""
+    """Yield the results of the poses in a group."""
     for k, name in enumerate(group.names):
         pose, z = poses_by_name[name], fitted_group.single_readings[k].standardized
         start = end = samples = None
@@ -410,10 +388,9 @@ def _pose_results(
 
 def _nonlinear_effects(campaign: Campaign, solved_poses: SolvedPoses) -> Array:
     """Return the effect of the requested nonlinear terms on the indications, shape (n, 3)."""
-    symbols = [
-        s for s in campaign.model.terms if s in TERMS and s not in ("K_F", *SENSITIVITY_TERMS)
-    ]
-    indices = [_SYMBOLS.index(symbol) for symbol in symbols]
+    linear = ("K_F", *SENSITIVITY_TERMS)
+    terms = campaign.model.terms
+    indices = [_SYMBOLS.index(s) for s in terms if s in TERMS and s not in linear]
     effect: Array = np.sum(
         solved_poses.products[:, :, indices] * solved_poses.effective[:, :, indices], axis=2
     )
@@ -435,7 +412,7 @@ def _slope_effects(
 
 
 def _rms(norm_deviations: Sequence[Array], gravity: float) -> float | None:
-    """Return the root mean square of |f| - g, m/s^2."""
+    """Return the root mean square of |f| - g, m/s^2, or None without poses."""
     if not norm_deviations:
         return None
     return gravity * float(np.sqrt(np.mean(np.concatenate(norm_deviations) ** 2)))

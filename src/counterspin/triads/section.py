@@ -1,4 +1,4 @@
-"""[triad]: three accelerometers in one frame, and their poses of unknown attitude."""
+"""Section [triad]: three accelerometers in one frame, and their poses at unknown attitudes."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from counterspin.campaign.validation import Problems, suggest_name
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.conditions import stated_conditions
 
-#: Smallest volume that three input axes may span: below it they do not feel all directions.
+#: Smallest volume spanned by the three input axes; below it, one direction is not sensed.
 _MIN_VOLUME: Final = 0.1
 
-#: Input and pendulous axes of the three where they state none: X, Y and Z of one body frame.
+#: Default input and pendulous axes: X, Y and Z of one body frame.
 DEFAULT_AXES: Final = (("east", "north"), ("north", "up"), ("up", "east"))
 
 #: Keys of an accelerometer's axes.
 _AXES_KEYS: Final = {"input_axis", "pendulous_axis", "output_axis"}
 
-#: A unit vector is along another, or at right angles to it, within this.
+#: Tolerance of the cosine between parallel or perpendicular unit vectors.
 _ALIGNMENT_TOLERANCE: Final = 1e-6
 
 
 class TriadSettings(SettingsSection):
-    """[triad]: three accelerometers of one sensor."""
+    """Section [triad]: three accelerometers of one sensor."""
 
     accelerometers: Annotated[list[Text], Field(min_length=3, max_length=3)] = key_field(
         "names of the three accelerometers. The first axis of the frame is the input axis of the "
@@ -44,14 +44,12 @@ class TriadSettings(SettingsSection):
 
 
 def apply_default_axes(tables: Mapping[str, Any], triad: Any) -> Mapping[str, Any]:
-    """Return the tables of accelerometers, with the axes of a triad if none are stated.
+    """Return the tables of accelerometers, with default axes for a triad without stated axes.
 
-    triad: The section; its errors are reported elsewhere.
+    triad: The raw section; its errors are reported elsewhere.
     """
-    listed_names = triad.get("accelerometers") if isinstance(triad, Mapping) else None
-    names = (
-        [n for n in listed_names if isinstance(n, str)] if isinstance(listed_names, list) else []
-    )
+    entries = triad.get("accelerometers") if isinstance(triad, Mapping) else None
+    names = [n for n in entries if isinstance(n, str)] if isinstance(entries, list) else []
     own_tables = [tables.get(name) for name in names]
     if len(names) != len(DEFAULT_AXES) or any(
         not isinstance(table, Mapping) or _AXES_KEYS & table.keys() for table in own_tables
@@ -74,15 +72,15 @@ def resolve_triad(
     own_priors: Mapping[str, Mapping[str, Quantity]] | None,
     problems: Problems,
 ) -> Triad | None:
-    """Return the triad of [triad] and the runs at unknown attitudes.
+    """Return the triad with its poses and records; None without a valid section.
 
-    raw: The section, None if there is none.
-    mountings: Accelerometer -> its axes in the triad's frame; None where they are a mistake.
-    runs: Those at unknown attitudes, with where each stands.
-    folder: Of records.
+    raw: The raw section, None if missing.
+    mountings: Axes in the frame of the triad by accelerometer; None if they are invalid.
+    runs: Runs at unknown attitudes, with the path of each.
+    folder: Folder of the records.
     pose_readings: Readings of the runs without a record, by accelerometer, resolved on demand.
-    own_priors: Accelerometer -> symbol -> prior of its own table, if nothing determines the
-        attitude of the triad; else None.
+    own_priors: Priors from the table of each accelerometer, by accelerometer and symbol; None if
+        the attitude of the triad is determined.
     """
     if raw is None:
         for _, path in runs:
@@ -119,7 +117,7 @@ def resolve_triad(
 def _resolve_axes(
     names: Sequence[str], mountings: Mapping[str, Mounting | None], problems: Problems
 ) -> list[Mounting]:
-    """Return the axes of the three, none where they are no triad."""
+    """Return the axes of the three accelerometers; empty if they do not form a triad."""
     error_count = len(problems.lines)
     for index, name in enumerate(names if mountings else ()):
         if name not in mountings:
@@ -149,17 +147,16 @@ def _resolve_axes(
 def _frame_misalignments(
     names: Sequence[str], axes: Sequence[Mounting], problems: Problems
 ) -> tuple[tuple[str, str], ...]:
-    """Return the misalignments that the frame makes nothing: two of the first, one of the second.
+    """Return the misalignments that define the frame and are therefore zero.
 
-    The second one's is that towards the normal of the plane of both.
+    These are both of the first accelerometer, and one of the second: that perpendicular to the
+    plane of their input axes.
     """
     first_axes, second_axes = axes[0].matrix, axes[1].matrix
     normal = np.cross(first_axes[0], second_axes[0])
     normal /= np.linalg.norm(normal)
-    is_normal = [
-        abs(abs(float(axis @ normal)) - 1.0) < _ALIGNMENT_TOLERANCE for axis in second_axes[1:]
-    ]
-    if not any(is_normal):
+    is_normal = np.abs(np.abs(second_axes[1:] @ normal) - 1.0) < _ALIGNMENT_TOLERANCE
+    if not is_normal.any():
         problems.add(
             ("accelerometers", names[1], "pendulous_axis"),
             f"must lie in the plane of the input axes of {names[0]} and {names[1]}, or at right "
@@ -177,7 +174,7 @@ def _frame_misalignments(
 def _resolve_record(
     raw: Mapping[str, Any], path: KeyPath, folder: Path, problems: Problems
 ) -> Iterator[PoseRecord]:
-    """Yield the record with poses of a run; nothing if it has a mistake."""
+    """Yield the record with poses of a run if it is valid."""
     run = problems.check(Run, raw, path, folder=folder)
     if run is None:
         return
@@ -197,9 +194,9 @@ def _resolve_pose(
     pose_readings: Iterator[Mapping[str, Reading]],
     problems: Problems,
 ) -> Iterator[tuple[Reading, ...]]:
-    """Yield the next pose with values; nothing if it has a mistake.
+    """Yield the next pose with values if it is valid.
 
-    names: Of the triad's accelerometers; none where they are a mistake.
+    names: Accelerometers of the triad; empty if they are invalid.
     """
     error_count = len(problems.lines)
     readings = next(pose_readings)

@@ -1,10 +1,10 @@
-"""Poses in one long record: where a sensor with three axes lay still between motions.
+"""Detection of poses in one long record: rest intervals of a three-axis sensor between motions.
 
-At rest the values scatter by the sensor's noise alone, in motion by far more. What is compared is
-their standard deviation over about a second, of all three axes together (the root of the sum of
-their variances): the level. A threshold parts the two, and what stays below it for long enough is
-a pose. This is the detector of Tedaldi, Pretto and Menegatti (ICRA 2014, section IV), with a
-threshold that follows from the record.
+At rest the values scatter by the noise of the sensor alone, in motion by far more. The level is
+the standard deviation of all three axes together (the root of the sum of their variances) in a
+window of about one second. An interval that stays below a threshold for long enough is a pose.
+This is the detector of Tedaldi, Pretto and Menegatti (ICRA 2014, section IV), with a threshold
+computed from the record.
 """
 
 from __future__ import annotations
@@ -24,58 +24,58 @@ from counterspin.records.outliers import estimate_resolution
 from counterspin.records.reading import read_record
 from counterspin.records.record import NominalMotion, Record, RecordColumns
 
-#: Shortest pose, s, where nothing else is stated.
+#: Default duration of the shortest pose, s.
 MIN_DURATION: Final = 1.5
 
-#: Span over which the level is taken, s, and the fewest rows in it; no longer than a pose.
+#: Window of the level, s, at most the shortest pose; and its minimum number of rows.
 _WINDOW: Final = 1.0
 _MIN_ROWS: Final = 8
 
-#: The threshold over the usual level at rest: twice, or four times in the variance.
+#: Default threshold relative to the usual level at rest: twice, or four times the variance.
 _THRESHOLD_RATIO: Final = 2.0
 
-#: Levels in motion over those at rest, in the median, below which the threshold is in doubt.
+#: Ratio of the median levels in motion and at rest below which the threshold is in doubt.
 MIN_CONTRAST: Final = 5.0
 
-#: Scatter within a pose over the threshold beyond which it is hardly at rest.
+#: Scatter within a pose, relative to the threshold, above which the pose was hardly at rest.
 _DRIFT_RATIO: Final = 3.0
 
 #: Standard deviations beyond which one or two rows among their neighbours are spikes.
 _SPIKE_SDS: Final = 10.0
-#: Fewest rows whose scatter tells how far that is.
+#: Minimum number of rows for this standard deviation.
 _MIN_SPIKE_ROWS: Final = 64
 
-#: Part of a pose's rows at the largest or smallest value of an axis from which it is saturated.
+#: Fraction of rows at the largest or smallest value of an axis above which it is saturated.
 _SATURATED_FRACTION: Final = 0.25
 
-#: Bins of the logarithm of the level in which rest and motion are told apart.
+#: Histogram bins of the logarithm of the level, to separate rest from motion.
 _N_BINS: Final = 256
 
 
 @frozen(eq=False)
 class StaticIntervals:
-    """The poses of a record; values in the unit of its columns, k poses of n rows."""
+    """The k poses of a record with n rows; values are in the unit of its columns."""
 
-    #: First and last time of each, s, shape (k,).
+    #: First and last time of each pose, s, shape (k,).
     start: Array
     end: Array
-    #: Mean and standard deviation of the rows within each, shape (k, 3).
+    #: Mean and standard deviation of the rows within each pose, shape (k, 3).
     mean: Array
     scatter: Array
     count: Array  #: Rows of each, shape (k,).
     threshold: float  #: Highest level at rest.
     time: Array  #: Of each row, s, shape (n,).
-    #: Standard deviation of all three axes together over a window about each row, shape (n,); NaN
-    #: of rows that are left out, as empty cells and spikes are.
+    #: Standard deviation of all three axes together in a window around each row, shape (n,); NaN
+    #: for omitted rows (missing values and spikes).
     level: Array
-    #: Level in motion over that at rest, in the median; infinite where nothing moves.
+    #: Ratio of the median levels in motion and at rest; infinite without motion.
     contrast: float
-    #: Of each axis, the values within poses that stand far off their neighbours, shape (3,).
+    #: Number of spikes within poses for each axis, shape (3,).
     spikes: Array
     rejected: tuple[str, ...] = ()  #: Rests that are no poses, each with the reason.
 
     def trace(self, max_points: int) -> tuple[Array, Array]:
-        """Return times, s, and the largest level about each, at most so many, shapes (m,)."""
+        """Return at most `max_points` times, s, and the largest level around each, shapes (m,)."""
         is_valid = np.isfinite(self.level)
         time, level = self.time[is_valid], self.level[is_valid]
         starts = np.unique(np.linspace(0, len(level), max_points, endpoint=False).astype(int))
@@ -83,7 +83,7 @@ class StaticIntervals:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Reasons to doubt the threshold, a sentence each; empty for a clear record."""
+        """Reasons to doubt the threshold, one sentence each."""
         messages = []
         if math.isinf(self.contrast):
             messages.append(
@@ -112,9 +112,9 @@ def read_poses(
     rest: float = MIN_DURATION,
     threshold: float | None = None,
 ) -> tuple[StaticIntervals, Record]:
-    """Return the poses of a record of three signals, and the record itself, all its rows.
+    """Return the poses of a record of three signals, and the record with all its rows.
 
-    rest, threshold: As in `find_poses`; the threshold in the unit that the columns come in.
+    rest, threshold: As in `find_poses`; the threshold is in the unit of the columns.
     """
     record = read_record(
         path, columns, NominalMotion(0.0, has_constant_input=True, is_multi_pose=True), block=None
@@ -132,15 +132,14 @@ def read_poses(
 def find_poses(
     time: Array, values: Array, rest: float = MIN_DURATION, threshold: float | None = None
 ) -> StaticIntervals:
-    """Find where a sensor lies still.
+    """Find the intervals in which a sensor is at rest.
 
-    A missing stretch of half a window ends a pose. Rows without all three values, and single spikes
-    in one of them, are left out.
+    A gap of half a window ends a pose. Rows with missing values and single spikes are omitted.
 
-    time: s, rising, shape (n,).
-    values: Of the three axes, in any one unit, NaN where there is none, shape (n, 3).
+    time: Increasing times, s, shape (n,).
+    values: Values of the three axes in one unit, shape (n, 3); NaN if missing.
     rest: Shortest pose, s.
-    threshold: Highest level at rest, in the values' unit; found if None.
+    threshold: Highest level at rest, in the unit of the values; computed if None.
     """
     valid_rows = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
     step = _sampling_step(time[valid_rows], rest)
@@ -194,9 +193,9 @@ def find_poses(
 
 
 def _sampling_step(time: Array, rest: float) -> float:
-    """Return the usual step of a time, s; RecordError if no rest can be found in its rows.
+    """Return the median sampling step, s; RecordError if the rows cannot contain a rest interval.
 
-    Rows with the same time, as a coarse clock writes them, have no step.
+    Rows with the same time, as from a coarse clock, do not count.
     """
     if not rest > 0.0:
         raise RecordError(
@@ -234,16 +233,16 @@ def _sampling_step(time: Array, rest: float) -> float:
 
 
 def _outlier_mask(values: Array, block_rows: int, resolutions: Array) -> np.ndarray:
-    """Return which values, one or two in a row, stand far off their neighbours, shape (n, 3).
+    """Return a mask of spikes: single or paired values far from their neighbours, shape (n, 3).
 
-    A median of five does not see them. The motions of a hand are no smooth waves, so that
-    `counterspin.records.outliers` would take their ends for outliers.
+    The deviation is that from a running median of five, because `counterspin.records.outliers`
+    would reject the ends of motions by hand, which are not smooth.
 
-    block_rows: In a stretch whose scatter is one.
+    block_rows: Number of rows per estimate of the scatter.
     """
     padded_values = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
     a, b, c, d, e = (padded_values[offset : offset + len(values)] for offset in range(5))
-    # The median of five is that of the fifth and of the two middle ones of the others.
+    # The median of five is the median of the centre and the two middle values of the others.
     low_median = np.maximum(np.minimum(a, b), np.minimum(d, e))
     high_median = np.minimum(np.maximum(a, b), np.maximum(d, e))
     deviation = np.abs(
@@ -251,10 +250,10 @@ def _outlier_mask(values: Array, block_rows: int, resolutions: Array) -> np.ndar
     )
     block_rows = min(block_rows, len(deviation))
     blocks = deviation[: len(deviation) // block_rows * block_rows].reshape(-1, block_rows, 3)
-    # From the upper quartile: every fifth value is the median itself, and so not off at all.
+    # The upper quartile, because every fifth value is its own median and has no deviation.
     quantile_index = 3 * block_rows // 4
     scale = np.partition(blocks, quantile_index, axis=1)[:, quantile_index] * MAD_TO_SIGMA / 2.0
-    # A smooth motion is its own median: where one fills most of a stretch, the next one tells.
+    # A smooth motion is its own median: if it fills most of a block, the next block counts.
     scale = np.maximum(scale, np.maximum(np.roll(scale, 1, axis=0), np.roll(scale, -1, axis=0)))
     limits = _SPIKE_SDS * scale + 1.5 * resolutions
     limits = limits[np.minimum(np.arange(len(deviation)) // block_rows, len(limits) - 1)]
@@ -262,12 +261,12 @@ def _outlier_mask(values: Array, block_rows: int, resolutions: Array) -> np.ndar
 
 
 def _rolling_sd(time: Array, values: Array, window: float) -> Array:
-    """Return the standard deviation of three axes together in a window about each row, (n,).
+    """Return the standard deviation of three axes together in a window around each row, (n,).
 
-    The rows are cut into parts, of which a window meets at most two. Sums run within a part and
-    count from its own mean: sums over a whole long record would lose the noise in rounding.
+    A window overlaps at most two blocks of rows. The cumulative sums are within blocks, about the
+    mean of each block: sums over a whole long record would lose the noise in rounding.
     """
-    # Rows half a window off are in, whatever rounding does to their times.
+    # Rows at half a window are included in spite of rounding.
     half_width = 0.5 * window * (1.0 + 1e-9)
     first_row = np.searchsorted(time, time - half_width, side="left")
     end_row = np.searchsorted(time, time + half_width, side="right")
@@ -291,7 +290,7 @@ def _rolling_sd(time: Array, values: Array, window: float) -> Array:
     second_block = np.minimum(first_block + 1, block_count - 1)
     second_sums = sums[second_block, np.maximum(end_row - second_block * block_size, 0)]
     second_sums[end_row == boundary_row] = 0.0
-    # Two groups as one: the squares about each mean, and those of the means about each other.
+    # Pooled sum of squares: within both blocks, and between their means.
     first_count, second_count = boundary_row - first_row, end_row - boundary_row
     sum_of_squares = first_sums[:, 3] - (first_sums[:, :3] ** 2).sum(axis=1) / first_count
     sum_of_squares += second_sums[:, 3] - (second_sums[:, :3] ** 2).sum(axis=1) / np.maximum(
@@ -308,24 +307,24 @@ def _rolling_sd(time: Array, values: Array, window: float) -> Array:
     )
     n_rows = end_row - first_row
     level = np.sqrt(np.maximum(sum_of_squares, 0.0) / np.maximum(n_rows - 1, 1))
-    # So few rows may be alike by chance.
+    # So few rows can agree by chance.
     level[n_rows < _MIN_ROWS // 2] = np.inf
     return np.asarray(level)
 
 
 def _default_threshold(level: Array, resolutions: Array) -> float:
-    """Return twice the usual level at rest.
+    """Return twice the median level at rest.
 
-    Rest and motion are the two groups of the level's logarithm that lie apart most (Otsu, IEEE
-    Trans. Syst. Man Cybern. 9 (1979) 62), however much of the record either takes.
+    Otsu's method separates rest from motion in the logarithm of the level: it maximises the
+    variance between both groups (IEEE Trans. Syst. Man Cybern. 9 (1979) 62).
     """
     finite_levels = level[np.isfinite(level)]
-    # A step of the last digit to and fro in every axis is no motion.
+    # Flicker of the last digit in each axis is not motion.
     resolution_floor = float(np.sqrt((resolutions**2).sum()))
     positive_levels = finite_levels[finite_levels > 0.0]
     if not len(positive_levels):
         return resolution_floor
-    # Values that stand still for once are no group of their own.
+    # Identical values, with a level near zero, must not become a group of their own.
     log_levels = np.log(np.maximum(finite_levels, 0.1 * np.quantile(positive_levels, 0.05)))
     counts, edges = np.histogram(log_levels, bins=_N_BINS)
     centres = 0.5 * (edges[1:] + edges[:-1])
@@ -347,7 +346,7 @@ def _default_threshold(level: Array, resolutions: Array) -> float:
 def _find_intervals(
     time: Array, level: Array, threshold: float, rest: float, window: float, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first row of each rest, and the one after its last."""
+    """Return the first row of each rest interval, and the row after its last."""
     is_quiet = level <= threshold
     is_gap = np.append(np.diff(time) > 0.5 * window, True)
     is_first = is_quiet & np.append(True, is_gap[:-1] | ~is_quiet[:-1])
@@ -358,7 +357,7 @@ def _find_intervals(
 
 
 def _contrast(level: Array, threshold: float, starts: np.ndarray, ends: np.ndarray) -> float:
-    """Return the level in motion over that at rest, in the median; infinite where nothing moves."""
+    """Return the ratio of the median levels in motion and at rest; infinite without motion."""
     motion_levels = level[(level > threshold) & np.isfinite(level)]
     interval_edges = np.zeros(len(level) + 1)
     np.add.at(interval_edges, starts, 1.0)
@@ -370,7 +369,7 @@ def _contrast(level: Array, threshold: float, starts: np.ndarray, ends: np.ndarr
 def _no_interval_message(
     time: Array, level: Array, threshold: float, rest: float, window: float, step: float
 ) -> str:
-    """Say that no rest was found, and which threshold would take the quietest stretch."""
+    """Return the error message without rest intervals, with the level of the quietest interval."""
     message = f"no rest interval of {rest:g} s was found below the threshold of {threshold:.3g}."
     levels = np.unique(level[np.isfinite(level)])
     low, high = 0, len(levels)
@@ -393,10 +392,10 @@ def _no_interval_message(
 def _interval_faults(
     values: Array, starts: np.ndarray, ends: np.ndarray, resolutions: Array
 ) -> dict[int, str]:
-    """Return why rests are no poses, by their place: values that are held, or cut off."""
+    """Return the reasons to reject intervals, by index: constant or saturated values."""
     scatter = [values[a:b].std(axis=0) for a, b in zip(starts, ends, strict=True)]
     median_scatter = np.median(scatter, axis=0)
-    # Where an axis scatters by less than its digits, equal values tell nothing.
+    # With scatter below the resolution, equal values are normal.
     is_testable = median_scatter > 2.0 * resolutions
     extremes = np.stack([values.min(axis=0), values.max(axis=0)])
     faults = {}
