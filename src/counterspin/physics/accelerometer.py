@@ -1,4 +1,4 @@
-"""The accelerometer: where its axes point, and what it indicates (Eq. 7-9)."""
+"""The accelerometer: directions of its axes, and indicated specific force (Eq. 7-9)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def direction(value: str | Sequence[float]) -> Array:
             raise ValueError(f"unknown direction {value!r}; known: {', '.join(DIRECTIONS)}")
         return np.array(DIRECTIONS[value])
     vector = np.asarray(value, dtype=float)
-    # The square of a finite number may be beyond all numbers.
+    # The square of a finite number can overflow.
     length = math.hypot(*vector.flat)
     if vector.shape != (3,) or not math.isfinite(length) or length == 0.0:
         raise ValueError(
@@ -102,7 +102,7 @@ class Mounting:
         return np.array(self.axes[0])
 
     def turned(self, attitude: Array) -> Mounting:
-        """Return the mounting when the platform stands in another attitude.
+        """Return the mounting for another attitude of the platform.
 
         Parameters
         ----------
@@ -151,7 +151,7 @@ def indicated(
 
     Examples
     --------
-    Ten g along the input axis, and K_II of 20 ug/g^2: 2000 ug too much.
+    At 10 g along the input axis, a K_II of 20 ug/g^2 adds 2000 ug:
 
     >>> import numpy as np
     >>> import counterspin as cs

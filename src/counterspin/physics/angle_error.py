@@ -18,8 +18,8 @@ from counterspin.frozen import frozen
 #: What the three polynomials stand for.
 POLYNOMIAL_NAMES: Final = ("angle", "rate", "drift")
 
-#: Harmonics that count as uncertain even where the recorded angle does not show them. A ripple of
-#: harmonic n puts harmonics n - 1 and n + 1 into the specific force, and its products have none
+#: Harmonics that count as uncertain even if the recorded angle does not show them. A ripple of
+#: harmonic n adds harmonics n - 1 and n + 1 to the specific force, and its products have none
 #: above the third.
 N_UNCERTAIN_HARMONICS: Final = 4
 
@@ -70,10 +70,9 @@ class AngleError:
     @property
     def max_values(self) -> Array:
         """Largest size of each function within the record, rad per unit, shape (m,)."""
-        polynomial_sizes = [1.0, self.span / 2.0, abs(self.rate) * self.span**2 / 12.0]
-        return np.array(
-            polynomial_sizes + [1.0 / abs(n * self.rate) for n in self.harmonics for _ in range(2)]
-        )
+        polynomials = [1.0, self.span / 2.0, abs(self.rate) * self.span**2 / 12.0]
+        waves = [1.0 / abs(n * self.rate) for n in self.harmonics for _ in range(2)]
+        return np.array(polynomials + waves)
 
     def functions(self, t: Array) -> tuple[Array, Array, Array]:
         """Return each function's value, first and second time derivative, shapes (n, m)."""
@@ -103,9 +102,7 @@ class AngleError:
         return value, first_derivative, second_derivative
 
 
-def convert_polynomial_coefficients(
-    monomials: Array, rate: float, start: float, span: float
-) -> Array:
+def convert_polynomials(monomials: Array, rate: float, start: float, span: float) -> Array:
     """Convert coefficients of 1, t/span, (t/span)^2 to those of `POLYNOMIAL_NAMES`, (3, k) each."""
     scaled_start = start / span
     shift = np.array(

@@ -1,10 +1,10 @@
-"""The paper's equations exactly as printed, kept apart from the exact physics.
+"""The equations of the paper exactly as printed, separate from the exact physics.
 
 Xie, Liu, Qiao, Pan and Ren, *Second-order coefficient calibration method of accelerometer in
 platform inertial navigation system tested on double turntable centrifuge*. Several of its
-printed expressions depart from the exact ones (``docs/paper.md`` derives each), so nothing here
-serves a calibration unless it is asked for as the ``as-printed`` model; ``counterspin
-reproduce`` uses the rest to recover the paper's figures and to show where they come from.
+printed expressions differ from the exact ones (``docs/paper.md`` derives each). A calibration uses
+them only with the ``as-printed`` model; ``counterspin reproduce`` uses the others to reproduce the
+figures of the paper.
 
 The symbols are the paper's: one ripple of the spindle's first harmonic, spindle angle zero at
 time zero, an accelerometer Qx pointing east.
@@ -27,8 +27,8 @@ def specific_force_error(
 ) -> Array:
     """Return the specific force errors of Eq. 5 (east) and Eq. 6 (north), as printed.
 
-    The tangential part of the east error has the printed plus sign, and neither error has the
-    part that comes of evaluating the sine and cosine at the nominal angle instead of the true.
+    The tangential part of the east error has the printed plus sign. Both errors lack the part due
+    to evaluating sine and cosine at the nominal instead of the true angle.
 
     time: Seconds since the spindle angle was zero, shape (n,).
     rate, drift: Nominal rate w0 in rad/s and its relative drift C in 1/s.
@@ -54,8 +54,8 @@ def k_ii_integral(time: Array, rate: float, radius: float, gravity: float) -> Ar
 
     time: Seconds, shape (n,).
     rate, radius, gravity: w0 in rad/s, R0 in m, g in m/s^2.
-    Returns: per unit of K_II, shape (n,). Its two parts do not have one dimension: the part in t^2
-        is metres (and twice the exact one), the harmonic part is metres per second squared.
+    Returns: per unit of K_II, shape (n,). Its two parts have different dimensions: the part in t^2
+        is in metres (twice the exact value), the harmonic part in metres per second squared.
     """
     scale = radius**2 * rate**4 / gravity
     return scale * (time**2 / 2.0 - np.cos(2.0 * rate * time) / 8.0 + 1.0 / 8.0)
@@ -66,14 +66,12 @@ def k_iii_integral(time: Array, rate: float, radius: float, gravity: float) -> A
 
     time: Seconds, shape (n,).
     rate, radius, gravity: w0 in rad/s, R0 in m, g in m/s^2.
-    Returns: per unit of K_III, shape (n,), metres per second squared as printed: the exact
+    Returns: per unit of K_III, shape (n,), in metres per second squared as printed: the exact
         expression times w0^2.
     """
     scale = radius**3 * rate**6 / gravity**2
-    nominal_angle = rate * time
-    return scale * (
-        np.cos(3.0 * nominal_angle) / 36.0 + 3.0 / 4.0 * np.cos(nominal_angle) - 7.0 / 9.0
-    )
+    angle = rate * time
+    return scale * (np.cos(3.0 * angle) / 36.0 + 3.0 / 4.0 * np.cos(angle) - 7.0 / 9.0)
 
 
 def k_ip_integral(time: Array, rate: float, radius: float) -> Array:
@@ -81,7 +79,7 @@ def k_ip_integral(time: Array, rate: float, radius: float) -> Array:
 
     time: Seconds, shape (n,).
     rate, radius: w0 in rad/s, R0 in m.
-    Returns: metres per unit of K_IP, shape (n,).
+    Returns: per unit of K_IP, shape (n,), in metres.
     """
     return radius * (1.0 - np.cos(rate * time))
 
@@ -105,7 +103,7 @@ def strobe_error(
     time: Strobe times in s, where w0 t = pi/2 + 2 k pi, shape (n,).
     gravity: g in m/s^2.
     bias, scale_factor, second_order: K_F in g, K_I in g/g, K_II in g/g^2.
-    radius_error: The radius's deviation from nominal, in m.
+    radius_error: Deviation of the radius from nominal, in m.
     Returns: shape (n,), in m. The last constant, 3/8 R0 sin(phi), is printed without w_p/w0.
     """
     curvature = strobe_curvature(
@@ -158,8 +156,8 @@ def second_stage_columns(
 
     rates: Nominal rates of the runs in rad/s, shape (m,).
     radius, gravity, scale_factor: R0 in m, g in m/s^2, K_I in g/g.
-    ripple: What the runs have in common. ``amplitude`` is Eq. 26: the second unknown is w_p
-        sin(phi) in rad/s. ``ratio`` is Table 2: it is (w_p/w0) sin(phi), without unit.
+    ripple: Common property of the runs. With ``amplitude`` (Eq. 26), the second unknown is w_p
+        sin(phi) in rad/s; with ``ratio`` (Table 2), it is (w_p/w0) sin(phi), dimensionless.
     Returns: columns of K_II (1/2 R0^2 w^4/g, twice the exact one) and of the ripple (-3/4 K_I R0 w,
         or w^2 for a common ratio), shape (m, 2), in m/s^2 per unit.
     """

@@ -1,8 +1,7 @@
-"""Conditions on which coefficients of an accelerometer depend: stated ones, and those of a run.
+"""Conditions on which coefficients of an accelerometer depend, as stated and during a run.
 
-A condition that a description states is a field of `StatedConditions` and a row of
-`STATED_CONDITIONS`. Its deviation from the reference is an entry of `RunConditions.at` and
-`RunConditions.at_start`.
+Each condition in a description is a field of `StatedConditions` and a row of `STATED_CONDITIONS`.
+Its deviation from the reference is an entry of `RunConditions.at` and `RunConditions.at_start`.
 """
 
 from __future__ import annotations
@@ -16,13 +15,13 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 
-#: Condition that a description states -> unit of its numbers in a table of readings.
+#: Condition in a description -> unit in a table of readings.
 STATED_CONDITIONS: Final[Mapping[str, str]] = {"temperature": "degC", "time": "s"}
 
 
 @frozen
 class StatedConditions:
-    """Conditions that a description states for a reading or a record; None: not stated."""
+    """Stated conditions of a reading or a record; None: not stated."""
 
     #: K; several values are evenly spaced over a record.
     temperature: tuple[float, ...] | None = field(kw_only=True)
@@ -101,5 +100,5 @@ class RunConditions:
         return np.asarray(self.direction * (1.0 - 2.0 * (reversals % 2)))
 
 
-#: At the beginning of a campaign, at the reference temperature.
+#: Conditions at the start of a campaign, at the reference temperature.
 AT_REFERENCE: Final = RunConditions()

@@ -75,12 +75,9 @@ def _solve_rising_branch(
     """Return the root of the indication minus y on the branch with a_I = 0."""
     # With K_0_asym, the indication jumps at zero; the middle of the jump separates the signs.
     products = _nonzero_products(coefficients)
-    constant_products = {
-        product: value for product, value in products.items() if product.power == 0
-    }
+    constants = {product: value for product, value in products.items() if product.power == 0}
     jump_top, jump_bottom = (
-        _indication_polynomial(constant_products, np.full_like(y, sign), a_p, a_o)[0]
-        for sign in (1, -1)
+        _indication_polynomial(constants, np.full_like(y, sign), a_p, a_o)[0] for sign in (1, -1)
     )
     force_sign = np.where(y >= 0.5 * (jump_top + jump_bottom), 1.0, -1.0)
     # With this sign, a_I is the root of an increasing polynomial in |a_I| that is negative at zero.
@@ -110,12 +107,10 @@ def _solve_rising_branch(
         turning_point[may_turn] = _turning_point(polynomial[:, may_turn])
     upper_bound = np.minimum(turning_point, upper_bound)
     while True:
-        is_too_low = (_evaluate(polynomial, upper_bound) < 0.0) & (upper_bound < turning_point)
-        if not is_too_low.any():
+        is_low = (_evaluate(polynomial, upper_bound) < 0.0) & (upper_bound < turning_point)
+        if not is_low.any():
             break
-        upper_bound = np.where(
-            is_too_low, np.minimum(2.0 * upper_bound, turning_point), upper_bound
-        )
+        upper_bound = np.where(is_low, np.minimum(2.0 * upper_bound, turning_point), upper_bound)
     unreachable_rows = np.flatnonzero(
         _evaluate(polynomial, upper_bound) < -_rounding_bound(polynomial, upper_bound, y)
     )
@@ -183,18 +178,14 @@ def _positive_roots(polynomial: Array) -> Array:
     intervals[0], intervals[-1] = 0.0, _MAX_FORCE
     intervals[1:-1] = np.minimum(_positive_roots(_derivative(polynomial)), _MAX_FORCE)
     low, high = intervals[:-1], intervals[1:]
-    interval_polynomial = polynomial[:, None]
-    low_is_positive, high_is_positive = (
-        _evaluate(interval_polynomial, end) > 0.0 for end in (low, high)
-    )
+    broadcast = polynomial[:, None]
+    low_is_positive, high_is_positive = (_evaluate(broadcast, end) > 0.0 for end in (low, high))
     has_root = low_is_positive != high_is_positive
     root = np.where(has_root, 0.5 * (low + high), np.inf)
     for _ in range(_MAX_ITERATIONS if has_root.any() else 0):
-        root_is_positive = _evaluate(interval_polynomial, np.where(has_root, root, 0.0)) > 0.0
-        low, high = (
-            np.where(root_is_positive == low_is_positive, root, low),
-            np.where(root_is_positive == low_is_positive, high, root),
-        )
+        root_is_positive = _evaluate(broadcast, np.where(has_root, root, 0.0)) > 0.0
+        is_below_root = root_is_positive == low_is_positive
+        low, high = np.where(is_below_root, root, low), np.where(is_below_root, high, root)
         midpoint = np.where(has_root, 0.5 * (low + high), np.inf)
         if np.all((midpoint == root) | ~has_root):
             break
@@ -238,14 +229,12 @@ def _find_root(polynomial: Array, high: Array, y: Array, rows: np.ndarray) -> Ar
         value, slope = _evaluate(polynomial, x), _evaluate_slope(polynomial, x)
         low, high = np.where(value < 0.0, x, low), np.where(value < 0.0, high, x)
         step = np.divide(-value, slope, out=np.full_like(x, np.inf), where=slope > 0.0)
-        next_guess = x + step
-        next_guess = np.where(
-            (next_guess >= low) & (next_guess <= high), next_guess, 0.5 * (low + high)
-        )
+        next_x = x + step
+        next_x = np.where((next_x >= low) & (next_x <= high), next_x, 0.5 * (low + high))
         has_converged = (np.abs(value) <= _rounding_bound(polynomial, x, y)) | (
-            np.abs(next_guess - x) <= 2.0 * _EPSILON * x
+            np.abs(next_x - x) <= 2.0 * _EPSILON * x
         )
-        x = next_guess
+        x = next_x
         if has_converged.all():
             return x
     row = int(rows[int(np.flatnonzero(~has_converged)[0])])
@@ -402,23 +391,20 @@ def correct(
     known_values = np.empty((n, len(known_forces)))
     for index, known_force in enumerate(known_forces):
         known_values[:, index] = known_force.force
-    force = _correct_jointly(
-        instruments, indications, known_values, weights, temperature_offset.value
-    )
+    offset = temperature_offset.value
+    force = _correct_jointly(instruments, indications, known_values, weights, offset)
     a_ipo = _forces_along_axes(force, known_values, weights)
 
     jacobian = np.empty((n, m, m))
     known_sensitivity = np.zeros((n, m, len(known_forces) + 1))
     variance = np.zeros((n, m, m))
     for k, instrument in enumerate(instruments):
-        coefficients = instrument.at(temperature_offset.value)
+        coefficients = instrument.at(offset)
         p, o = (_total_slope(coefficients, a_ipo[k], axis)[:, None] for axis in "PO")
         jacobian[:, k] = p * weights[k, 0, :m] + o * weights[k, 1, :m]
         jacobian[:, k, k] += _total_slope(coefficients, a_ipo[k], "I")
         known_sensitivity[:, k, :-1] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
-        known_sensitivity[:, k, -1] = _temperature_sensitivity(
-            instrument, a_ipo[k], temperature_offset.value
-        )
+        known_sensitivity[:, k, -1] = _temperature_sensitivity(instrument, a_ipo[k], offset)
         variance[:, k, k] = _variance(instrument, a_ipo[k], temperature_offset)
     for (k, column), covariance in cross_covariances.items():
         for weight, value in temperature_offset.nodes:
@@ -434,7 +420,7 @@ def correct(
     is_finite = np.isfinite(jacobian).all(axis=(1, 2))
     inverse[is_finite] = np.linalg.inv(jacobian[is_finite])
     force_variance = np.sum((inverse @ variance) * inverse, axis=2)
-    sds = inverse @ known_sensitivity * [*(item.u for item in known_forces), temperature_offset.u]
+    sds = inverse @ known_sensitivity * [*(known.u for known in known_forces), temperature_offset.u]
     force_variance += np.sum(sds**2, axis=2)
     # Rounding may give negative variances if the errors of two accelerometers cancel.
     return CorrectedForces(force, np.sqrt(np.maximum(force_variance, 0.0)))
@@ -555,13 +541,13 @@ def _temperature_sensitivity(
     instrument: CalibratedAccelerometer, a_ipo: Array, temperature_offset: Array | float
 ) -> Array:
     """Return the change of the indication with temperature, g/K, shape (n,)."""
-    sensitivity_sum = np.zeros(a_ipo.shape[1])
+    sensitivity = np.zeros(a_ipo.shape[1])
     for symbol, slope in instrument.slopes.items():
         if slope.condition == "temperature":
-            sensitivity = slope.power * np.asarray(temperature_offset) ** (slope.power - 1)
+            derivative = slope.power * np.asarray(temperature_offset) ** (slope.power - 1)
             value = instrument.coefficients[symbol]
-            sensitivity_sum += value * sensitivity * product_of_symbol(symbol).evaluate(a_ipo)
-    return sensitivity_sum
+            sensitivity += value * derivative * product_of_symbol(symbol).evaluate(a_ipo)
+    return sensitivity
 
 
 def _coefficient_sensitivities(

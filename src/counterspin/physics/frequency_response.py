@@ -1,8 +1,8 @@
 """Frequency response of an accelerometer and its recorder.
 
-A linear system multiplies each harmonic of the error model's output by its complex gain H(f); the
-mean keeps its value, H(0) = 1. Integration does not change this: it holds for velocity and
-displacement as well, except for the start offset and start velocity, which every fit estimates.
+A linear system multiplies each harmonic of the output of the error model by its complex gain H(f);
+the mean does not change, H(0) = 1. The same holds for velocity and displacement, except for the
+start offset and start velocity, which each fit estimates.
 
 The recorder filters the whole record; the accelerometer filters the specific force that it senses,
 but not the Coriolis acceleration that the navigation computer subtracts.
@@ -34,12 +34,11 @@ _POINTS_PER_HARMONIC: Final = 4
 #: Largest error of the approximated gain at these frequencies.
 _TOLERANCE: Final = 3e-10
 
-#: Error above which, as with the table of a resonance, the gain is interpolated between the
-#: harmonics.
+#: Error above which the gain is only matched at the harmonics, as for the table of a resonance.
 _MAX_ERROR: Final = 1e-7
 
-#: Largest number of time shifts on either side of the delay, and their spacing in parts of the
-#: period of the highest harmonic.
+#: Largest number of time shifts on either side of the delay, and their spacing as a fraction of
+#: the period of the highest harmonic.
 _MAX_SHIFTS: Final = 6
 _SHIFT_SPACING: Final = 0.125
 
@@ -95,7 +94,7 @@ class TimeShifts:
     def apply(self, spindle: Spindle, function: Callable[[Spindle], Array]) -> Array:
         """Return a function of the rotation, filtered by the response.
 
-        The spindle is shifted, not the time: all integrals start at the run's start.
+        The spindle is shifted, not the time, because all integrals begin at the start of the run.
 
         function: Maps a rotation to values of any shape.
         """
@@ -109,7 +108,7 @@ class TimeShifts:
 
 @frozen
 class FrequencyResponse:
-    """Frequency response of one accelerometer's channel.
+    """Frequency response of the channel of one accelerometer.
 
     The accelerometer has a second-order response,
     H(f) = 1/(1 - (f/f0)^2 + 2 i zeta f/f0), or a measured one; the recorder has a first-order low
@@ -166,14 +165,9 @@ class FrequencyResponse:
         record_at: Maps a rotation to the record without dynamics.
         sensed_at: Maps a rotation to the contribution of the specific force to this record.
         """
-        recorder_shifts, total_shifts = (
-            self.recorder_shifts(spindle.rate),
-            self.total_shifts(spindle.rate),
-        )
-        unsensed_record = recorder_shifts.apply(
-            spindle, lambda shifted_spindle: record_at(shifted_spindle) - sensed_at(shifted_spindle)
-        )
-        return unsensed_record + total_shifts.apply(spindle, sensed_at)
+        recorder, total = self.recorder_shifts(spindle.rate), self.total_shifts(spindle.rate)
+        unsensed_record = recorder.apply(spindle, lambda s: record_at(s) - sensed_at(s))
+        return unsensed_record + total.apply(spindle, sensed_at)
 
     def total_shifts(self, rate: float) -> TimeShifts:
         """Return the response of accelerometer and recorder for a rate in rad/s."""
@@ -198,18 +192,16 @@ RESPONSE_INPUTS: Final[Mapping[str, str]] = {
 
 @lru_cache(maxsize=256)
 def _time_shifts(response: FrequencyResponse, rate: float, *, is_recorder: bool) -> TimeShifts:
-    """Approximate a response by shifts in time about its delay at the rotation's frequency."""
-    evaluate: Callable[[Array], ComplexArray] = (
-        response.recorder_gain if is_recorder else response.gain
-    )
+    """Approximate a response by time shifts around its delay at the rotation frequency."""
+    gain = response.recorder_gain if is_recorder else response.gain
     if is_recorder and math.isinf(response.cutoff_frequency):
         return TimeShifts((0.0,), (1.0,))
     two_pi = 2.0 * math.pi
-    delay = -float(np.angle(evaluate(np.array([rate / two_pi])))[0]) / rate
+    delay = -float(np.angle(gain(np.array([rate / two_pi])))[0]) / rate
     spacing = two_pi * _SHIFT_SPACING / (_N_HARMONICS * rate)
     orders = np.arange(1, _N_HARMONICS * _POINTS_PER_HARMONIC + 1) / _POINTS_PER_HARMONIC
     frequencies = rate * orders  # rad/s
-    undelayed_response = evaluate(frequencies / two_pi) * np.exp(1j * frequencies * delay) - 1.0
+    undelayed_response = gain(frequencies / two_pi) * np.exp(1j * frequencies * delay) - 1.0
     targets = np.concatenate([undelayed_response.real, undelayed_response.imag])
     for n_shifts in range(1, _MAX_SHIFTS + 1):
         steps = np.array([*range(-n_shifts, 0), *range(1, n_shifts + 1)])
@@ -220,24 +212,22 @@ def _time_shifts(response: FrequencyResponse, rate: float, *, is_recorder: bool)
         if error < _TOLERANCE:
             break
     if error > _MAX_ERROR:
-        return _interpolate(evaluate, rate, delay)
+        return _interpolate(gain, rate, delay)
     return TimeShifts(
         (-delay, *(spacing * steps - delay).tolist()),
         (1.0 - float(weights.sum()), *weights.tolist()),
     )
 
 
-def _interpolate(
-    evaluate: Callable[[Array], ComplexArray], rate: float, delay: float
-) -> TimeShifts:
-    """Return shifts over a revolution whose gain is exact at the harmonics of the rotation.
+def _interpolate(gain: Callable[[Array], ComplexArray], rate: float, delay: float) -> TimeShifts:
+    """Return shifts over a revolution with the exact gain at the harmonics of the rotation.
 
-    evaluate: Maps frequencies in Hz, shape (n,), to the complex gain.
+    gain: Maps frequencies in Hz, shape (n,), to the complex gain.
     rate: rad/s.
-    delay: About which the shifts lie, s.
+    delay: Centre of the shifts, s.
     """
     orders = np.arange(-_N_HARMONICS, _N_HARMONICS + 1)
-    positive_gains = evaluate(np.arange(1.0, _N_HARMONICS + 1.0) * (rate / (2.0 * math.pi)))
+    positive_gains = gain(np.arange(1.0, _N_HARMONICS + 1.0) * (rate / (2.0 * math.pi)))
     gains = np.concatenate([positive_gains[::-1].conj(), [1.0], positive_gains])
     angles = 2.0 * math.pi * orders / orders.size
     phasors = np.exp(1j * np.outer(orders, rate * delay - angles))

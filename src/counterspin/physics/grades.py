@@ -1,15 +1,14 @@
 """Sizes of the terms of an accelerometer by grade, with their sources.
 
-A credible size is an order of magnitude, several times what data sheets allow if they name it:
-beyond it is a mistake, not an instrument. A typical size is the standard uncertainty of a term of
-which nothing is stated; its source says which figure of which document it rests on, or that there
-is none.
+The credible size is an order of magnitude, several times the limit of data sheets; a larger value
+indicates a mistake. The typical size is the default standard uncertainty of a term without a stated
+value. Its source names the document and the figure, or states that there is none.
 
 Documents:
 
-- the paper: Table 1 of the one that the package is about
-- dual-use list: accelerometers that are controlled by entry 7A001.a of the EU's and the Swiss (GKV)
-  list of dual-use goods, here by the latter
+- the paper: Table 1 of the paper that this package implements
+- dual-use list: accelerometers controlled by entry 7A001.a of the EU and Swiss (GKV) lists of
+  dual-use goods, here the Swiss list
 - MS1010: Safran Colibrys, MS1000 data sheet, 2016-12-30, the ±10 g model, typical values
 - ADXL350, ADXL313: Analog Devices, data sheets, Table 1
 - HASI: calibration of the servo accelerometer of Huygens, ``HASI_ACC_CALIBRATION_DATA.TXT`` in
@@ -31,7 +30,7 @@ DEFAULT_GRADE: Final = GRADES[0]
 
 @frozen
 class Size:
-    """Size of a term, in the unit of its row."""
+    """Sizes of a term, in the unit of its row."""
 
     limit: float  #: The largest credible size.
     typical: float  #: Standard uncertainty to assume where nothing is known.

@@ -168,22 +168,22 @@ class SpindleState:
 
     @cached_property
     def rate(self) -> Array:
-        """Its rate, rad/s."""
+        """The angular rate, rad/s."""
         return self.spindle.angular_rate(self.t)
 
     @cached_property
     def angular_acceleration(self) -> Array:
-        """Its angular acceleration, rad/s^2."""
+        """The angular acceleration, rad/s^2."""
         return self.spindle.angular_acceleration(self.t)
 
     @cached_property
     def cosine(self) -> Array:
-        """That of the angle."""
+        """Cosine of the angle."""
         return np.cos(self.angle)
 
     @cached_property
     def sine(self) -> Array:
-        """That of the angle."""
+        """Sine of the angle."""
         return np.sin(self.angle)
 
 
@@ -241,12 +241,12 @@ class Motion:
 
     @property
     def rate(self) -> Array:
-        """Its rate, rad/s, shape (n,)."""
+        """The spindle's angular rate, rad/s, shape (n,)."""
         return self.spindle_state.rate
 
     @property
     def angular_acceleration(self) -> Array:
-        """Its angular acceleration, rad/s^2, shape (n,)."""
+        """The spindle's angular acceleration, rad/s^2, shape (n,)."""
         return self.spindle_state.angular_acceleration
 
     @property
@@ -366,9 +366,7 @@ class Motion:
     @cached_property
     def square_of_specific_force(self) -> Array:
         """m^2/s^3, the integral of the squared specific force from t = 0, shape (n,)."""
-        integral: Array = self._integrate(
-            lambda motion: np.sum(motion.specific_force**2, axis=1)[None]
-        )
+        integral: Array = self._integrate(lambda m: np.sum(m.specific_force**2, axis=1)[None])
         return integral[:, 0]
 
     def _integrate(self, function: Callable[[Motion], Array]) -> Array:
@@ -464,7 +462,7 @@ def _encoder_sensitivity(error: TrajectoryError, circle: Motion, order: int) -> 
     for _ in range(n - 1):
         phasor_n = phasor_n * phasor
     cos, sin = phasor_n.real, phasor_n.imag
-    # wave and its derivative by the angle's n-fold
+    # The wave and its derivative by n times the angle.
     wave, slope = (cos, -sin) if error.quadrature == "cos" else (sin, cos)
 
     def change(order: int) -> Array:

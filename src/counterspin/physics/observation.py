@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -247,7 +247,7 @@ class _Integrals:
     def __init__(self, trajectory: Trajectory, panels: Panels) -> None:
         self._panels = panels
         self._motion = trajectory.at(panels.nodes)
-        self._kept: dict[tuple[object, ...], Array] = {}
+        self._cache: dict[tuple[object, ...], Array] = {}
 
     def at(
         self,
@@ -269,17 +269,12 @@ class _Integrals:
         if self._panels.nodes.size > _MAX_NODES:
             return self._panels.series(_integrands(effects, self._motion, axes, attitude), order)
         key = (axes.matrix.tobytes(), attitude.tobytes(), order)
-        missing_effects = [effect for effect in effects if (*key, effect) not in self._kept]
-        integrals = self._panels.series(
-            _integrands(missing_effects, self._motion, axes, attitude), order
-        )
-        self._kept |= {
-            (*key, effect): integral
-            for effect, integral in zip(missing_effects, integrals, strict=True)
-        }
-        if len(missing_effects) == len(effects):
-            return integrals
-        return np.stack([self._kept[*key, effect] for effect in effects])
+        missing = [effect for effect in effects if (*key, effect) not in self._cache]
+        series = self._panels.series(_integrands(missing, self._motion, axes, attitude), order)
+        self._cache |= {(*key, effect): row for effect, row in zip(missing, series, strict=True)}
+        if len(missing) == len(effects):
+            return series
+        return np.stack([self._cache[*key, effect] for effect in effects])
 
 
 def _trajectory_integrals(
@@ -300,22 +295,18 @@ def _trajectory_integrals(
 def _make_integrals(
     trajectory: Trajectory, duration: float, kink_axis: tuple[float, ...]
 ) -> _Integrals:
-    make_edges = partial(
-        quadrature.panel_edges, trajectory.spindle, duration, coarse=trajectory.coarse
-    )
-    breaks = trajectory.conditions.breaks
-    edges = make_edges(breaks)
+    spindle, breaks, coarse = trajectory.spindle, trajectory.conditions.breaks, trajectory.coarse
+    edges = quadrature.panel_edges(spindle, duration, breaks, coarse=coarse)
     if kink_axis:
         axis = np.array(kink_axis)
         changes = quadrature.sign_changes(lambda t: trajectory.specific_force(t) @ axis, edges)
-        edges = make_edges(np.append(breaks, changes))
+        breaks = np.append(breaks, changes)
+        edges = quadrature.panel_edges(spindle, duration, breaks, coarse=coarse)
     return _Integrals(trajectory, Panels(edges))
 
 
-_short_integrals, _long_integrals = (
-    lru_cache(maxsize=48)(_make_integrals),
-    lru_cache(maxsize=8)(_make_integrals),
-)
+_short_integrals = lru_cache(maxsize=48)(_make_integrals)
+_long_integrals = lru_cache(maxsize=8)(_make_integrals)
 
 
 def table_angle_error(effect: AttitudeError, motion: Motion) -> Array:
@@ -378,12 +369,8 @@ class _TimeIntegrals:
     @property
     def force(self) -> Array:
         """Specific force with the number of integrations of the observable, (3, n)."""
-        attributes = (
-            "specific_force",
-            "velocity_of_specific_force",
-            "displacement_of_specific_force",
-        )
-        force: Array = getattr(self.motion, attributes[self._order])
+        prefix = ("", "velocity_of_", "displacement_of_")[self._order]
+        force: Array = getattr(self.motion, f"{prefix}specific_force")
         return force.T
 
     def smooth(self, effects: Sequence[IntegratedEffect]) -> Array:
@@ -423,9 +410,8 @@ class _SensorInputs:
         if isinstance(effect, Slope):
             path = self._motion.trajectory
             conditions = path.conditions.at(self._motion.t, path.centripetal)
-            return effect.design_factors(conditions) * self.integrand(
-                TERMS[effect.coefficient].effect
-            )
+            product = TERMS[effect.coefficient].effect
+            return effect.design_factors(conditions) * self.integrand(product)
         if effect.kind in ("tilt", "table_axis"):
             lever_arms = np.cross(self._motion.table.tilt_axis(effect), self._axes.input_axis)
             return np.asarray(np.sum(lever_arms * self._motion.specific_force, axis=1))

@@ -1,9 +1,9 @@
-"""Errors of a navigation computer that takes its own velocity for the Coriolis acceleration.
+"""Errors of a navigation computer that uses its own velocity for the Coriolis acceleration.
 
-A computer that is given the platform's motion removes 2 Omega x v of it. One that uses the velocity
-of its own solution, v + e', removes 2 Omega x e' too much, so that the error obeys
-e'' = a - 2 Omega x e' with what the accelerometers and the platform sense wrongly, a. Integrated
-once, e' = e_p' - 2 Omega x (e - e(0)), where e_p is the error with the platform's motion.
+With the true motion of the platform, the computer removes 2 Omega x v. With the velocity of its own
+solution, v + e', it removes 2 Omega x e' too much. The error then obeys e'' = a - 2 Omega x e',
+where a is the error of the sensed acceleration. Integrated once, e' = e_p' - 2 Omega x (e - e(0)),
+where e_p is the error with the true motion of the platform.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics.motion import Site
 
-#: Observables in which the navigation computer's velocity shows.
+#: Observables that depend on the velocity of the navigation computer.
 NAVIGATION_OBSERVABLES: Final = ("displacement", "velocity")
 
-#: Part of the largest below which a combination of input axes counts as not recorded.
+#: Singular value of the input axes, relative to the largest, below which a direction counts as not
+#: recorded.
 _MIN_RECORDED_FRACTION: Final = 0.05
 
-#: Terms of the solution's series in 2 Omega t: in two hours the next one is below 1e-15.
+#: Terms of the series in 2 Omega t; after two hours, the next term is below 1e-15.
 _N_TERMS: Final = 20
 
-#: Degree of the polynomial that is integrated exactly; only waves and noise remain.
+#: Degree of the polynomial that is integrated exactly; the remainder is waves and noise.
 _DEGREE: Final = 7
 
 
@@ -36,7 +37,7 @@ class AxisError:
     """Error of the record of one accelerometer."""
 
     input_axis: Array  #: In the run's attitude, east-north-up, shape (3,).
-    #: ``displacement``, ``velocity`` or ``specific_force``; in the last nothing is removed.
+    #: ``displacement``, ``velocity`` or ``specific_force``, which has no Coriolis correction.
     observable: str
     time: Array  #: s, increasing, shape (n,).
     #: Record minus the motion along the input axis, m, m/s or m/s^2, shape (n,); NaN if missing.
@@ -46,7 +47,7 @@ class AxisError:
 def computer_correction(site: Site, errors: Sequence[AxisError]) -> list[Array]:
     """Return the Coriolis correction that a computer with its own velocity subtracted.
 
-    site: For the Earth's rotation.
+    site: Provides the Earth's rotation.
     """
     return _coriolis_projections(site, errors, unobserved_projection(errors) @ coriolis(site))
 
@@ -54,13 +55,11 @@ def computer_correction(site: Site, errors: Sequence[AxisError]) -> list[Array]:
 def own_velocity_errors(site: Site, errors: Sequence[AxisError]) -> list[Array]:
     """Return the errors of a computer with its own velocity.
 
-    site, errors: As for `computer_correction`, but errors of a computer that is given the
-        platform's motion.
+    site, errors: As for `computer_correction`, but with the errors of a computer that knows the
+        motion of the platform.
     """
     corrections = _coriolis_projections(site, errors, coriolis(site))
-    return [
-        record.error - correction for record, correction in zip(errors, corrections, strict=True)
-    ]
+    return [axis.error - correction for axis, correction in zip(errors, corrections, strict=True)]
 
 
 def coriolis(site: Site) -> Array:
@@ -70,7 +69,7 @@ def coriolis(site: Site) -> Array:
 
 
 def unobserved_projection(errors: Sequence[AxisError]) -> Array:
-    """Return the projection on the directions in which no displacement or velocity is recorded."""
+    """Return the projection onto the directions without recorded displacement or velocity."""
     axes = _navigation_axes(errors)
     projection: Array = np.eye(3) - np.linalg.pinv(axes, rcond=_MIN_RECORDED_FRACTION) @ axes
     return projection
@@ -81,21 +80,17 @@ def _navigation_axes(errors: Sequence[AxisError]) -> Array:
     return np.reshape(axes, (len(axes), 3))
 
 
-def _coriolis_projections(
-    site: Site, errors: Sequence[AxisError], coriolis_matrix: Array
-) -> list[Array]:
-    """Return the Coriolis part of each error, from d = d(recorded) - integral of acting @ d."""
+def _coriolis_projections(site: Site, errors: Sequence[AxisError], matrix: Array) -> list[Array]:
+    """Return the Coriolis part of each error, from d = d(recorded) - integral of matrix @ d."""
     navigated_errors = [record for record in errors if record.observable in NAVIGATION_OBSERVABLES]
     if not navigated_errors:
         return [np.zeros(record.time.size) for record in errors]
     grid = np.unique(np.concatenate([record.time for record in navigated_errors]))
     integrate = _make_integrator(grid)
-    recorded_positions = np.linalg.pinv(_navigation_axes(errors), rcond=_MIN_RECORDED_FRACTION) @ [
-        _position_error(record, grid) for record in navigated_errors
-    ]
-    positions, term = recorded_positions, recorded_positions
+    inverse = np.linalg.pinv(_navigation_axes(errors), rcond=_MIN_RECORDED_FRACTION)
+    positions = term = inverse @ [_position_error(record, grid) for record in navigated_errors]
     for _ in range(_N_TERMS):
-        term = -coriolis_matrix @ integrate(term)
+        term = -matrix @ integrate(term)
         positions = positions + term
     velocity = coriolis(site) @ positions
     coriolis_errors = {"velocity": velocity, "displacement": integrate(velocity)}
@@ -108,7 +103,7 @@ def _coriolis_projections(
 
 
 def _position_error(record: AxisError, grid: Array) -> Array:
-    """Return an accelerometer's error in position since the start of the record, m."""
+    """Return the position error of an accelerometer since the start of the record, m."""
     is_finite = np.isfinite(record.error)
     time, error = record.time[is_finite], record.error[is_finite]
     if record.observable == "velocity":
@@ -120,8 +115,8 @@ def _position_error(record: AxisError, grid: Array) -> Array:
 def _make_integrator(time: Array) -> Callable[[Array], Array]:
     """Return a function that integrates values (k, n) at these times from the first time.
 
-    A polynomial is integrated exactly, and trapezoids only what it leaves: a gap in the record
-    then costs next to nothing, for across it the error is not straight.
+    A polynomial is integrated exactly and the remainder by the trapezoidal rule, which would be
+    inaccurate across gaps of the record.
     """
     half_duration = 0.5 * float(time[-1] - time[0])
     scaled_time = (time - time[0]) / half_duration - 1.0 if half_duration else np.zeros_like(time)

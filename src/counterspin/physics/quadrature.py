@@ -1,8 +1,8 @@
 """Single and double time integrals along a trajectory, to rounding, at any times.
 
-Between two panel edges the integrand is the polynomial through its values at Gauss nodes, and the
-polynomial is integrated once or twice. The result is therefore as accurate between the edges as at
-them, and the integrand is evaluated no more often for a million sample times than for three.
+Within a panel, the integrand is replaced by the polynomial through its values at the Gauss nodes,
+which is integrated once or twice. The result is as accurate between the edges as at the edges, and
+the number of evaluations of the integrand does not depend on the number of times.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from counterspin.physics.spindle import Spindle
 
 NODES: Final = 16  #: Gauss-Legendre nodes in a panel
 _CHUNK_TIMES: Final = 65536  #: sample times evaluated at once, which bounds the memory
-#: Part of a panel by which times may lie before it: corrected time stamps do. Its polynomials are
-#: as good there, to 1e-9 of a third harmonic.
+#: Times may precede the first panel by this fraction of it, as corrected time stamps do. Its
+#: polynomials are accurate there to 1e-9 of a third harmonic.
 _MAX_EXTRAPOLATION: Final = 0.1
-_CACHE_SIZE: Final = 16384  #: sample times, or panel edges, up to which places in panels are kept
+_CACHE_SIZE: Final = 16384  #: largest number of times, or panel edges, whose positions are cached
 
 # The highest harmonic of the smooth products is the third (a_I^3); ripple adds its own.
 # Sixteen nodes reach 1e-12 while a panel spans at most 3/4 of a period of the highest harmonic.
-# Over twice that they still integrate a whole panel to rounding, but what lies between the edges
-# to 1e-6 only, and to 1e-4 of a fourth harmonic.
+# With panels twice as long, integrals over a whole panel are still exact to rounding, but between
+# the edges only to 1e-6, and to 1e-4 of a fourth harmonic.
 _MAX_PRODUCT_HARMONIC: Final = 3
 _PANELS_PER_PERIOD: Final = 4.0 / 3.0
 _COARSE_PANELS_PER_PERIOD: Final = 2.0 / 3.0
@@ -36,18 +36,18 @@ _COARSE_PANELS_PER_PERIOD: Final = 2.0 / 3.0
 
 def _integral_series(times_integrated: int) -> Array:
     """Matrix from node values to the Chebyshev series of the integral, (NODES + 2, NODES)."""
-    series = np.linalg.inv(chebyshev.chebvander(_NODE_POSITIONS, NODES - 1))
+    series = np.linalg.inv(chebyshev.chebvander(_GAUSS_NODES, NODES - 1))
     integral = chebyshev.chebint(series, m=times_integrated, lbnd=-1.0, axis=0)
     padded_integral = np.zeros((NODES + 2, NODES))
     padded_integral[: len(integral)] = integral
     return padded_integral
 
 
-_NODE_POSITIONS, _WEIGHTS = legendre.leggauss(NODES)
+_GAUSS_NODES, _WEIGHTS = legendre.leggauss(NODES)
 _SINGLE_INTEGRAL: Final[Array] = _integral_series(1)
 _DOUBLE_INTEGRAL: Final[Array] = _integral_series(2)
-#: From node values to the double integral over a whole panel, which is that of (1 - x) f.
-_DOUBLE_WEIGHTS: Final[Array] = _WEIGHTS * (1.0 - _NODE_POSITIONS)
+#: Weights of the double integral over a whole panel, the integral of (1 - x) f.
+_DOUBLE_WEIGHTS: Final[Array] = _WEIGHTS * (1.0 - _GAUSS_NODES)
 
 
 def panel_edges(
@@ -57,7 +57,7 @@ def panel_edges(
 
     duration: End of the integration, s; positive.
     breaks: Further edges, s, such as the times of kinks.
-    coarse: Half as many, for shapes: what lies between the edges is then accurate to 1e-4.
+    coarse: Half as many panels; between the edges, integrals are then accurate to 1e-4.
     """
     revolutions = duration * abs(spindle.rate) * (1 + max(0.0, spindle.drift * duration))
     revolutions /= 2.0 * math.pi
@@ -76,8 +76,8 @@ def panel_edges(
 def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
     """Return the times at which a function changes sign, by false position to rounding.
 
-    edges: Panel edges; each panel is searched in 8 steps, so that two changes closer than an
-        eighth of a panel are missed together.
+    edges: Panel edges; each panel is searched in 8 steps, so two changes within one step are
+        missed.
     References: Dowell and Jarratt, A modified regula falsi method for computing the root of an
         equation, BIT 11 (1971) 168: the Illinois rule.
     """
@@ -85,23 +85,17 @@ def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
     grid = np.append((edges[:-1, None] + np.diff(edges)[:, None] * steps).ravel(), edges[-1])
     values = function(grid)
     indices = np.flatnonzero((values[1:] > 0.0) != (values[:-1] > 0.0))
-    left, right, f_left, f_right = (
-        grid[indices],
-        grid[indices + 1],
-        values[indices],
-        values[indices + 1],
-    )
-    # A step this short is rounding; the limit of rounds is what halving would take.
+    left, right = grid[indices], grid[indices + 1]
+    f_left, f_right = values[indices], values[indices + 1]
+    # Shorter steps are rounding; 52 iterations would suffice for bisection.
     rounding = 2.0 * np.finfo(float).eps * edges[-1]
     for _ in range(52):
-        slope = f_right - f_left
-        step = np.divide(
-            f_right * (right - left), slope, out=np.zeros_like(right), where=slope != 0
-        )
+        rise, zeros = f_right - f_left, np.zeros_like(right)
+        step = np.divide(f_right * (right - left), rise, out=zeros, where=rise != 0)
         next_time = right - step
         next_value = function(next_time)
         has_sign_of_right = (next_value > 0.0) == (f_right > 0.0)
-        # Where the left end stays, half its value moves the next step beyond the root.
+        # If the left end stays, halving its value moves the next step beyond the root.
         left, f_left = (
             np.where(has_sign_of_right, left, right),
             np.where(has_sign_of_right, 0.5 * f_left, f_right),
@@ -117,7 +111,7 @@ def integrate(integrand: Callable[[Array], Array], edges: Array, times: Array, o
 
     integrand: Maps times (n,) in s to values (k, n).
     edges: Panel edges, s, increasing; the integrand is smooth inside each panel.
-    times: Where the integrals are wanted, s, shape (n,), between the first and the last edge.
+    times: Times of the integrals, s, shape (n,), between the first and the last edge.
     order: 1 for the integral, 2 for the double integral (zero value and slope at the first edge).
     Returns: shape (n, k), the integrand's unit times s or s^2.
     """
@@ -134,9 +128,7 @@ class Panels:
     def __init__(self, edges: Array) -> None:
         self._edges = edges
         self._half = 0.5 * np.diff(edges)
-        self.nodes: Array = (
-            edges[:-1, None] + self._half[:, None] * (1.0 + _NODE_POSITIONS)
-        ).ravel()
+        self.nodes: Array = (edges[:-1, None] + self._half[:, None] * (1.0 + _GAUSS_NODES)).ravel()
 
     def series(self, values: Array, order: int) -> Array:
         """Return Chebyshev series of the integrals of functions, (k, panels, NODES + 2).
@@ -150,7 +142,7 @@ class Panels:
             np.matmul(f * half_widths[:, None], _SINGLE_INTEGRAL.T, out=series)
             series[..., 0] += _cumulative_sum((f @ _WEIGHTS) * half_widths)
             return series
-        # The slope at the panel's start goes on through it, as slope x half x (1 + x).
+        # The slope at the start of the panel contributes slope x half x (1 + x).
         increments = _cumulative_sum((f @ _WEIGHTS) * half_widths) * half_widths
         np.matmul(f * half_widths[:, None] ** 2, _DOUBLE_INTEGRAL.T, out=series)
         start = _cumulative_sum((f @ _DOUBLE_WEIGHTS) * half_widths**2 + 2.0 * increments)
@@ -174,7 +166,7 @@ class Panels:
         chunks = []
         for chunk_start in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
             t = times[chunk_start : chunk_start + _CHUNK_TIMES]
-            # Accelerometers of a run, and paths of one spindle, are asked at the same times.
+            # Accelerometers of a run and trajectories of one spindle share their times.
             is_cacheable = max(t.size, edges.size) <= _CACHE_SIZE
             positions = (
                 _cached_positions(edges.tobytes(), t.tobytes())
@@ -190,18 +182,16 @@ class Panels:
 class _PanelPositions:
     """Positions of times in panels, with the polynomials at these times.
 
-    Places in the same panel stand in a row, so that a matrix product serves them all. Rows are a
-    little longer than the usual number of places in a panel; where there are more, there are
-    more rows. However the places are spread, all rows together are at most 6 n long.
+    Times in the same panel share a row, so that one matrix product evaluates them all. Rows are a
+    little longer than the mean number of times per panel, and a panel with more times has several
+    rows. All rows together have at most 6 n slots for any distribution of the times.
     """
 
     def __init__(self, edges: Array, times: Array) -> None:
         half_width = 0.5 * np.diff(edges)
-        panel_indices = np.clip(
-            np.searchsorted(edges, times, side="right") - 1, 0, half_width.size - 1
-        )
-        order = np.argsort(panel_indices, kind="stable")
-        counts = np.bincount(panel_indices)
+        panels = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, half_width.size - 1)
+        order = np.argsort(panels, kind="stable")
+        counts = np.bincount(panels)
         occupied_panels = np.flatnonzero(counts)
         counts = counts[occupied_panels]
         width = times.size // occupied_panels.size + 2
@@ -210,12 +200,10 @@ class _PanelPositions:
         self._slots = np.empty(times.size, dtype=np.intp)
         self._slots[order] = slots + np.repeat(width * (np.cumsum(n_rows) - n_rows), counts)
         slot_positions = np.zeros(width * n_rows.sum())
-        slot_positions[self._slots] = (times - edges[panel_indices]) / half_width[
-            panel_indices
-        ] - 1.0
+        slot_positions[self._slots] = (times - edges[panels]) / half_width[panels] - 1.0
         values = chebyshev.chebvander(slot_positions.reshape(-1, width), NODES + 1)
         self._powers = np.moveaxis(values, 2, 1)
-        # The panel of each row, where that is not simply the next one.
+        # The panel of each row; None if each panel has exactly one row.
         has_one_row_per_panel = occupied_panels.size == half_width.size and n_rows.max() == 1
         self._panels = None if has_one_row_per_panel else np.repeat(occupied_panels, n_rows)
 
@@ -225,8 +213,7 @@ class _PanelPositions:
         if self._panels is not None:
             row_series = row_series[self._panels]
         n_rows, _, width = self._powers.shape
-        # Written where they are taken from: memory that a process has not had yet takes longer to
-        # get than it takes to fill.
+        # Write into the final layout: allocating another array takes longer than filling it.
         slot_values = np.empty((len(series), n_rows, width))
         np.matmul(row_series, self._powers, out=slot_values.transpose(1, 0, 2))
         return slot_values.reshape(len(series), -1).take(self._slots, axis=1)

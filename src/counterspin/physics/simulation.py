@@ -1,8 +1,8 @@
-"""Records of an imperfect system without linearisation: the full Eq. 7 on a turned platform.
+"""Records of an imperfect system without linearisation: the full Eq. 7 on a rotated platform.
 
 Estimation uses columns that are linear in the coefficients (`counterspin.physics.observation`).
-This module does not: it turns the specific force by the platform's whole attitude error, puts it
-through the complete error model and integrates, products of small terms included.
+This module instead rotates the specific force by the full attitude error of the platform, applies
+the complete error model and integrates, including products of small terms.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def attitude_error(
     """Return the platform's attitude error psi(t) in the frame of the specific force.
 
     psi = tilt + drift t + D (integral of f)/g + E (integral of |f|^2)/g^2 + C f/g; an instrument
-    that is strapped to the counter-rotating table turns about up by the table's error too.
+    on the counter-rotating table also rotates about up by the angle error of the table.
 
     trajectory: The motion; the tilt is that at t = 0.
     times: s, shape (n,).
@@ -54,14 +54,12 @@ def attitude_error(
             psi[:, 2] += value * observation.table_angle_error(row, motion)
             continue
         if row.kind == "g_sensitivity":
-            angle_per_unit = motion.velocity_of_specific_force @ attitude[row.force_axis] / g
+            angle = motion.velocity_of_specific_force @ attitude[row.force_axis] / g
         elif row.kind == "compliance":
-            angle_per_unit = motion.specific_force @ attitude[row.force_axis] / g
+            angle = motion.specific_force @ attitude[row.force_axis] / g
         else:
-            angle_per_unit = (
-                times if row.kind == "drift" else motion.square_of_specific_force / g**2
-            )
-        psi += value * angle_per_unit[:, None] * attitude[row.axis]
+            angle = times if row.kind == "drift" else motion.square_of_specific_force / g**2
+        psi += value * angle[:, None] * attitude[row.axis]
     return psi
 
 
@@ -77,12 +75,12 @@ def simulate_record(
 ) -> Array:
     """Return the noiseless record of the system along one input axis.
 
-    The navigation computer knows its position and velocity at t = 0 exactly. What an encoder
-    records beside it is `counterspin.physics.motion.encoder_error`.
+    The navigation computer knows its position and velocity at t = 0 exactly. For the recorded
+    angle, see `counterspin.physics.motion.encoder_error`.
 
-    mounting: The accelerometer's axes in the level attitude.
-    coefficients: Accelerometer terms by symbol, slopes under conditions included, g-units; those
-        not named are nominal.
+    mounting: Axes of the accelerometer in the level attitude.
+    coefficients: Accelerometer terms by symbol, including slopes with conditions, g-units; the
+        others are nominal.
     times: s, not negative, shape (n,).
     observable: ``displacement`` (m), ``velocity`` (m/s) or ``specific_force`` (m/s^2).
     Returns: shape (n,).
@@ -98,16 +96,14 @@ def simulate_record(
         symbol: value for symbol, value in shared_values.items() if symbol in PLATFORM_TERMS
     }
     g = trajectory.site.gravity
-    trend_slope = sum(
-        slope for symbol, slope in coefficients.items() if condition_of(symbol) == "time"
-    )
+    trend = sum(slope for symbol, slope in coefficients.items() if condition_of(symbol) == "time")
     conditions, all_coefficients = trajectory.conditions, coefficients
     coefficients = run_coefficients(coefficients, conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0
     lever_arm = shared_values.get(LEVER_ARM, 0.0)
 
     def residual_force(t: Array) -> Array:
-        """Return the indicated force's error less that of the scale factor, m/s^2."""
+        """Return the error of the indicated force minus that of the scale factor, m/s^2."""
         motion = trajectory.at(t)
         force = proof_mass_force = motion.specific_force
         if lever_arm != 0.0:
@@ -119,11 +115,9 @@ def simulate_record(
         sensor_output = indicated(axes, coefficients, sensed_force, rotation) + _change_since_start(
             all_coefficients, conditions, axes, sensed_force, t
         )
-        return g * (sensor_output + trend_slope * t) - (1.0 + scale_error) * (
-            force @ axes.input_axis
-        )
+        return g * (sensor_output + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)
 
-    # The scale factor's own part has an exact integral, which a quadrature would spoil.
+    # The contribution of the scale factor has an exact integral; a quadrature is less accurate.
     exact_output = observation.columns(
         trajectory, mounting, ["K_I"], times, observable, attitude=attitude
     )[:, 0]
@@ -134,9 +128,8 @@ def simulate_record(
     breaks = conditions.breaks
     edges = quadrature.panel_edges(trajectory.spindle, duration, breaks)
     if any(row.effect.has_kink and coefficients.get(s, 0.0) for s, row in TERMS.items()):
-        kinks = quadrature.sign_changes(
-            lambda t: trajectory.specific_force(t) @ axes.input_axis, edges
-        )
+        axis = axes.input_axis
+        kinks = quadrature.sign_changes(lambda t: trajectory.specific_force(t) @ axis, edges)
         edges = quadrature.panel_edges(trajectory.spindle, duration, np.append(breaks, kinks))
     error = quadrature.integrate(lambda t: residual_force(t)[None], edges, times, order)[:, 0]
     return reference + scale_error * exact_output + error
@@ -153,20 +146,13 @@ def _filtered_record(
 ) -> Array:
     """Return the record of an accelerometer with a frequency response, shape (n,)."""
     assert mounting.response is not None
-    ideal_mounting = replace(mounting, response=None)
+    static = replace(mounting, response=None)
 
     def error(spindle: Spindle) -> Array:
         motion = replace(trajectory, spindle=spindle)
-        record = simulate_record(
-            motion,
-            ideal_mounting,
-            coefficients,
-            shared_values,
-            times,
-            observable,
-            attitude=attitude,
-        )
-        return record - observation.reference(motion, ideal_mounting, times, observable, attitude)
+        values = coefficients, shared_values, times, observable
+        record = simulate_record(motion, static, *values, attitude=attitude)
+        return record - observation.reference(motion, static, times, observable, attitude)
 
     shifts = mounting.response.total_shifts(trajectory.spindle.rate)
     filtered_error = shifts.apply(trajectory.spindle, error)
@@ -180,13 +166,13 @@ def _change_since_start(
     force: Array,
     times: Array,
 ) -> Array | float:
-    """Return the change of the indication with conditions since that of `run_coefficients`.
+    """Return the change of the indication with conditions since the start of the run.
 
-    force: Sensed at the times, g, shape (n, 3).
-    times: s from the run's start, shape (n,).
+    force: Sensed force at the times, g, shape (n, 3).
+    times: Times from the start of the run, s, shape (n,).
     Returns: g, shape (n,), or 0.
     """
-    change_sum: Array | float = 0.0
+    total: Array | float = 0.0
     for symbol, slope in coefficients.items():
         row = CONDITION_TERMS.get(symbol)
         if (
@@ -197,35 +183,33 @@ def _change_since_start(
             continue
         factors = row.effect.design_factors(conditions.at(times, 0.0))
         change = factors - row.effect.design_factor(conditions, 0.0)
-        change_sum = change_sum + slope * change * TERMS[row.effect.coefficient].effect.evaluate(
-            axes.matrix @ force.T
-        )
-    return change_sum
+        product = TERMS[row.effect.coefficient].effect.evaluate(axes.matrix @ force.T)
+        total = total + slope * change * product
+    return total
 
 
 def run_coefficients(
     coefficients: Mapping[str, float], conditions: RunConditions, force: float
 ) -> dict[str, float]:
-    """Return an accelerometer's coefficients at the start of a run, in its mean temperature."""
-    start_values = {symbol: value for symbol, value in coefficients.items() if symbol in TERMS}
+    """Return the coefficients at the start of a run, at its mean temperature."""
+    values = {symbol: value for symbol, value in coefficients.items() if symbol in TERMS}
     for symbol, slope in coefficients.items():
         row = CONDITION_TERMS.get(symbol)
         if row is None or slope == 0.0:
             continue
         coefficient = row.effect.coefficient
-        reference_value = start_values.get(coefficient, TERMS[coefficient].nominal)
-        start_values[coefficient] = reference_value + slope * row.effect.design_factor(
-            conditions, force
-        )
-    return start_values
+        reference_value = values.get(coefficient, TERMS[coefficient].nominal)
+        factor = row.effect.design_factor(conditions, force)
+        values[coefficient] = reference_value + slope * factor
+    return values
 
 
 def _rotate_force(force: Array, psi: Array) -> Array:
-    """Return the specific force in the axes of a platform turned by psi (Rodrigues)."""
+    """Return the specific force in the axes of a platform rotated by psi (Rodrigues)."""
     angle = np.linalg.norm(psi, axis=1)[:, None]
     cross_product = np.cross(psi, force)
     double_cross_product = np.cross(psi, cross_product)
-    # sin(x)/x and (1 - cos x)/x^2, both written so that x = 0 does no harm
+    # sin(x)/x and (1 - cos x)/x^2, in forms that are finite at x = 0
     rotated_force: Array = force - np.sinc(angle / np.pi) * cross_product
     rotated_force += 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * double_cross_product
     return rotated_force

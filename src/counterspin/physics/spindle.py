@@ -22,7 +22,7 @@ from counterspin.physics.angle_error import (
     POLYNOMIAL_NAMES,
     UNRESOLVED_SD,
     AngleError,
-    convert_polynomial_coefficients,
+    convert_polynomials,
 )
 
 TURN: Final = 2.0 * math.pi  #: rad
@@ -138,7 +138,7 @@ class Spindle:
             t = t - step
             if np.all(np.abs(step) <= 4e-16 * (1.0 + np.abs(t))):
                 break
-        # Roundoff of a large angle keeps the last steps above an ulp; that is settled too.
+        # Roundoff of a large angle keeps the last steps above an ulp, which is accepted too.
         if not np.all(np.abs(self.angle(t) - angle) <= 1e-12 * (1.0 + np.abs(angle))):
             raise ConvergenceError(
                 "the spindle angle cannot be inverted, because the rate changes sign or drifts "
@@ -171,37 +171,31 @@ class Spindle:
 
         coefficients: Shape (m,), in the units of `AngleError`.
         """
-        functions_at_zero, rates_at_zero, _ = (
-            component[0] for component in error.functions(np.zeros(1))
-        )
+        values, rates, _ = (derivative[0] for derivative in error.functions(np.zeros(1)))
         n_polynomials = len(POLYNOMIAL_NAMES)
-        start_rate = self.rate + float(rates_at_zero[:n_polynomials] @ coefficients[:n_polynomials])
+        start_rate = self.rate + float(rates[:n_polynomials] @ coefficients[:n_polynomials])
         curvature = self.rate * self.drift + error.rate * float(coefficients[2])
-        wave_coefficients = {r.harmonic: self._wave(r) for r in self.ripples}
-        for index, n in enumerate(error.harmonics):
-            pair = coefficients[n_polynomials + 2 * index : n_polynomials + 2 * index + 2] / abs(
-                n * error.rate
-            )
-            wave_coefficients[n] = wave_coefficients.get(n, 0j) + complex(pair[0], -pair[1])
+        waves = {r.harmonic: self._wave(r) for r in self.ripples}
+        pairs = coefficients[n_polynomials:].reshape(-1, 2)
+        for n, (a, b) in zip(error.harmonics, pairs, strict=True):
+            waves[n] = waves.get(n, 0j) + complex(a, -b) / abs(n * error.rate)
         return Spindle(
             rate=start_rate,
             drift=curvature / start_rate,
             ripples=tuple(
-                make_ripple(n, start_rate, wave_coefficients[n])
-                for n in sorted(wave_coefficients)
-                if wave_coefficients[n]
+                make_ripple(n, start_rate, wave) for n, wave in sorted(waves.items()) if wave
             ),
-            start_angle=self.start_angle + float(functions_at_zero @ coefficients),
+            start_angle=self.start_angle + float(values @ coefficients),
         )
 
     def angle_functions(self, error: AngleError, t: Array) -> tuple[Array, Array, Array]:
         """Return derivatives of angle, rate and acceleration by coefficients of an error.
 
-        As `AngleError.functions`, shapes (n, m), and with a rate the frequencies of the ripples
-        change.
+        As `AngleError.functions`, shapes (n, m), but a change of the rate also changes the
+        frequencies of the ripples.
         """
         value, first_derivative, second_derivative = error.functions(t)
-        # What a coefficient changes of the rate at t = 0, to which the ripples belong.
+        # Change of the rate at t = 0, which sets the frequencies of the ripples.
         rate_change = error.functions(np.zeros(1))[1][0, : len(POLYNOMIAL_NAMES)]
         for ripple in self.ripples:
             angular_frequency = 1j * ripple.harmonic * self.rate
@@ -249,8 +243,8 @@ class SpindleFit:
     rms: float  #: Root mean square of the residual angle, rad.
     dof: int  #: Degrees of freedom of the residuals.
     residuals: Array  #: Recorded minus modelled angle, rad, shape (n,).
-    #: How far the true angle may be from the model, in the harmonics that can reach a coefficient
-    #: too, supported or not.
+    #: Possible deviation of the true angle from the model, including harmonics that can affect a
+    #: coefficient although the criterion does not support them.
     error: AngleError
 
     def rate_at(self, t: Array) -> tuple[float, float]:
@@ -310,7 +304,7 @@ def fit_spindle(
     ConvergenceError
         If w0 does not settle.
     """
-    # What spans more than a turn has been unwrapped already, perhaps across gaps.
+    # An angle that spans more than a turn has already been unwrapped, perhaps across gaps.
     is_wrapped = angle.size == 0 or np.ptp(angle) <= TURN * (1.0 + 1e-9)
     theta = np.unwrap(angle) if is_wrapped else angle
     root_weight = np.ones_like(time) if weights is None else np.sqrt(weights / np.mean(weights))
@@ -319,7 +313,7 @@ def fit_spindle(
         return _fit_harmonics(samples, nominal_rate, range(1, harmonics + 1))[0]
     n_resolved = _count_resolvable_harmonics(time, nominal_rate)
     full_fit, full_coefficients = _fit_harmonics(samples, nominal_rate, range(1, n_resolved + 1))
-    # The first harmonics reach a coefficient even where the samples do not resolve them.
+    # The first harmonics affect coefficients even if the samples do not resolve them.
     max_harmonic = max(n_resolved, _count_harmonics(time, N_UNCERTAIN_HARMONICS))
     prior = None
     for _ in range(_PRIOR_ITERATIONS if max_harmonic > n_resolved else 0):
@@ -335,7 +329,7 @@ def fit_spindle(
     fit, selected_coefficients = _fit_harmonics(
         samples, full_fit.spindle.rate, significant_harmonics, prior
     )
-    # What the criterion has left out may be there all the same, as far as its noise allows.
+    # Harmonics that the criterion omits can still exist within their noise.
     error_harmonics = sorted(
         {*significant_harmonics, *range(1, min(N_UNCERTAIN_HARMONICS, max_harmonic) + 1)}
     )
@@ -374,7 +368,7 @@ def _count_resolvable_harmonics(time: Array, rate: float) -> int:
 
 
 def _count_harmonics(time: Array, max_count: int) -> int:
-    """Return the largest number of harmonics for which a fit has samples enough."""
+    """Return the largest number of harmonics for which a fit has enough samples."""
     return min(max_count, (time.size - 8) // 2)
 
 
@@ -428,16 +422,12 @@ def _angle_error(
 ) -> AngleError:
     """Return the angle error of `reduced_fit`, given the coefficients of `full_fit`."""
     start, span = float(np.min(time)), float(np.ptp(time))
-    factor_rows = [
-        convert_polynomial_coefficients(full_fit.factor[:3], reduced_fit.rate, start, span)
-    ]
-    deviations = [
-        convert_polynomial_coefficients(
-            (full_fit.value[:3] - reduced_fit.value[:3])[:, None], reduced_fit.rate, start, span
-        )[:, 0]
-    ]
+    rate = reduced_fit.rate
+    factor_rows = [convert_polynomials(full_fit.factor[:3], rate, start, span)]
+    shift = (full_fit.value[:3] - reduced_fit.value[:3])[:, None]
+    deviations = [convert_polynomials(shift, rate, start, span)[:, 0]]
     for n in harmonics:
-        frequency = abs(n * reduced_fit.rate)
+        frequency = abs(n * rate)
         index = 3 + 2 * list(full_fit.harmonics).index(n)
         quadratures = full_fit.value[index : index + 2]
         if n in reduced_fit.harmonics:
@@ -446,7 +436,7 @@ def _angle_error(
         factor_rows.append(frequency * full_fit.factor[index : index + 2])
         deviations.append(frequency * quadratures)
     return AngleError(
-        rate=reduced_fit.rate,
+        rate=rate,
         start=start,
         span=span,
         harmonics=tuple(harmonics),
@@ -501,7 +491,7 @@ def _fit_harmonics(
             )
         solution = np.asarray(np.linalg.solve(r, triangle[:n_unknowns, -1]))
         previous_rate, w0 = w0, start_rate + float(solution[1]) / span
-        # Once the harmonics turn by less than 1e-9 rad over the record they are settled.
+        # Converged if the harmonics change by less than 1e-9 rad over the record.
         if abs(w0 - previous_rate) * span * max(harmonics, default=0) < 1e-9:
             break
     else:
@@ -542,9 +532,9 @@ def _fit_harmonics(
 
 
 def _fill_harmonics(angle: Array, harmonics: Sequence[int], weights: Array, rows: Array) -> None:
-    """Write cosine and sine of each harmonic of an angle, times `size`, into rows (2 h, n).
+    """Write cosine and sine of each harmonic of an angle, times `weights`, into rows (2 h, n).
 
-    They are the powers of one complex wave.
+    They are powers of one phasor.
     """
     phasor = np.empty(angle.shape, dtype=complex)
     phasor.real, phasor.imag = np.cos(angle), np.sin(angle)

@@ -1,12 +1,12 @@
 """Stations of readings: at rest, on an arm, on a double turntable, or on a shaker.
 
-A reading is the mean of an accelerometer's output over whole revolutions or vibrations, or at rest.
-Given the station, it is linear in the coefficients: each counts with the mean of its product of
-specific forces. What the machine does beside turning (a radius that stretches, an arm that droops,
-a fixture that is turned) moves the station, so that its effect on a reading is a derivative.
+A reading is the mean output of an accelerometer over whole revolutions or vibrations, or at rest.
+For a given station, it is linear in the coefficients: each is multiplied by the mean of its product
+of specific forces. Errors of the machine (stretch of the arm, droop, a rotated fixture) change the
+station, and their effects on a reading are derivatives.
 
-Vectors are in the station's frame: east-north-up at rest and on a double turntable; outward along
-the arm, forward (the way that the arm moves at a positive rate) and up on an arm. Both frames are
+Vectors are in the frame of the station: east-north-up at rest and on a double turntable; on an arm
+outward along the arm, forward (the direction of motion at a positive rate) and up. Both frames are
 right-handed.
 """
 
@@ -44,11 +44,11 @@ _ARM_DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
     "down": (0.0, 0.0, -1.0),
 }
 
-#: Motion -> the directions that have a name in its frame, unit vectors.
+#: Motion -> named directions of its frame, unit vectors.
 FRAMES: Final[Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
     "counter-rotating": DIRECTIONS,
     "arm": _ARM_DIRECTIONS,
-    # An arm that stands still is one that points east: gravity is all that acts.
+    # An arm at rest points east; only gravity acts.
     "static": {**DIRECTIONS, **_ARM_DIRECTIONS},
     "vibration": DIRECTIONS,
 }
@@ -62,7 +62,7 @@ READING_LABELS: Final = {
     "poses": "poses at unknown attitudes",
 }
 
-#: Angles of a revolution at which the mean is taken: exact for products of degree below this.
+#: Number of angles for the mean over a revolution, exact for products of a lower degree.
 _N_ANGLES: Final = 16
 
 
@@ -73,19 +73,19 @@ class Stations:
     motion: MotionKind  #: ``counter-rotating``, ``arm``, ``static`` or ``vibration``.
     axes: Array  #: I, P, O in the stations' frame, rows, shape (n, 3, 3).
     rate: Array  #: rad/s; its sign is the sense, right-handed about up. 0 at rest. Shape (n,).
-    radius: Array  #: From the spindle's axis to the proof mass when the arm is unloaded, m, (n,).
+    radius: Array  #: Distance of the proof mass from the spindle axis at rest, m, shape (n,).
     #: Relative growth of the radius per m/s^2 of centripetal acceleration, s^2/m, shape (n,).
     stretch: Array
-    #: Turn of the instrument about forward per squared rate, rad s^2: a positive one lowers the
-    #: outer end of the arm. Of the arm only, shape (n,).
+    #: Rotation of the instrument about forward per squared rate, rad s^2, positive if the outer end
+    #: of the arm moves down; only for arms, shape (n,).
     droop: Array
     axis_tilt: Array  #: Small right-handed turns of the spindle about east and north, rad, (n, 2).
     turn: Array  #: Small right-handed turn of the instrument about the frame's axes, rad, (n, 3).
-    #: Of a vibration along the input axis: peak value and mean beside gravity, m/s^2, shape (n,).
+    #: Vibration along the input axis: peak value and mean without gravity, m/s^2, shape (n,).
     amplitude: Array
     bias_acceleration: Array
-    #: n -> (c, s), shape (n, 2): the counter-rotating table, and the instrument on it, is turned
-    #: about up by c cos n theta + s sin n theta, rad.
+    #: n -> (c, s), shape (n, 2): angle error of the counter-rotating table about up,
+    #: c cos n theta + s sin n theta, rad.
     table: Mapping[int, Array]
 
     @classmethod
@@ -104,22 +104,13 @@ class Stations:
         return cls(motion, axes, table={}, **arrays)
 
     def take(self, rows: npt.NDArray[np.intp]) -> Stations:
-        """Return some of the stations."""
-        field_names = (
-            "axes",
-            "rate",
-            "radius",
-            "stretch",
-            "droop",
-            "axis_tilt",
-            "turn",
-            "amplitude",
-        )
+        """Return the stations of some rows."""
+        names = ("axes", "rate", "radius", "stretch", "droop", "axis_tilt", "turn", "amplitude")
         return replace(
             self,
             table={n: components[rows] for n, components in self.table.items()},
             bias_acceleration=self.bias_acceleration[rows],
-            **{name: getattr(self, name)[rows] for name in field_names},
+            **{name: getattr(self, name)[rows] for name in names},
         )
 
     def forces(
@@ -129,15 +120,15 @@ class Stations:
         rates: Array | None = None,
         acceleration: Array | float = 0.0,
     ) -> Array:
-        """Return the specific force in the stations' frame, m/s^2, shape (n, angles, 3).
+        """Return the specific force in the frame of the stations, m/s^2, shape (n, angles, 3).
 
-        Neglected are the square of the Earth's rate times the radius (1.3e-8 m/s^2 at 2.5 m) and
-        the turn of the plumb line across the radius.
+        The square of the Earth's rate times the radius (1.3e-8 m/s^2 at 2.5 m) and the change of
+        the plumb line across the radius are neglected.
 
         site: Gravity, latitude and the Earth's rotation.
-        angles: Of the spindle, from east towards north, rad.
-        rates: At the angles, rad/s, shape (angles,); None: those of the stations.
-        acceleration: Of the angle there, rad/s^2, shape (angles,), on an arm.
+        angles: Spindle angles, from east towards north, rad.
+        rates: Angular rates at the angles, rad/s, shape (angles,); None: those of the stations.
+        acceleration: Angular acceleration at the angles on an arm, rad/s^2, shape (angles,).
         """
         w = self.rate[:, None] if rates is None else rates[None]
         about_east, about_north = self.axis_tilt.T[:, :, None]
@@ -146,19 +137,15 @@ class Stations:
         cos, sin = np.cos(angles), np.sin(angles)
         if self.motion == "vibration":
             # The shaker moves along the nominal input axis; its phase is the angle.
-            axial_acceleration = self.bias_acceleration[:, None] + self.amplitude[:, None] * np.sin(
-                angles
-            )
-            forces: Array = axial_acceleration[:, :, None] * self.axes[:, None, 0]
+            vibration = self.bias_acceleration[:, None] + self.amplitude[:, None] * np.sin(angles)
+            forces: Array = vibration[:, :, None] * self.axes[:, None, 0]
             forces[:, :, 2] += site.gravity
             return forces
         if self.motion == "arm":
-            # The machine's axes lean with its spindle: gravity and the Earth's rotation as they
-            # see them.
-            rotation_vectors = np.column_stack([self.axis_tilt, np.zeros(len(self.rate))])
-            machine_axes = _rotate_axes(
-                np.broadcast_to(np.eye(3), (len(self.rate), 3, 3)), rotation_vectors
-            )
+            # Gravity and the Earth's rotation along axes that are tilted with the spindle.
+            n = len(self.rate)
+            tilt = np.column_stack([self.axis_tilt, np.zeros(n)])
+            machine_axes = _rotate_axes(np.broadcast_to(np.eye(3), (n, 3, 3)), tilt)
             earth_rotation = (machine_axes @ site.earth_rotation)[:, :, None]
             gravity = site.gravity * machine_axes[:, :, 2, None]
             outward = gravity[:, 0] * cos + gravity[:, 1] * sin
@@ -170,15 +157,14 @@ class Stations:
             )
             return np.stack([outward, forward, up], axis=-1)
         _, north, up = site.earth_rotation
-        # 2 Omega x v of the velocity R w forward; the part along the arm is the same everywhere.
-        # The platform stays level; a tilted axis lifts and lowers it.
+        # Coriolis acceleration 2 Omega x v for the forward velocity R w. The platform stays level;
+        # a tilted axis lifts and lowers it.
         radial = -radius * (w * w + 2.0 * w * up)
         height = radius * (about_east * sin - about_north * cos)
-        vertical_speed = radius * w * (about_east * cos + about_north * sin)
+        climb_rate = radius * w * (about_east * cos + about_north * sin)
         vertical = site.gravity + 2.0 * radius * w * north * sin - w * w * height
-        forces = np.stack(
-            [radial * cos + 2.0 * north * vertical_speed, radial * sin, vertical], axis=-1
-        )
+        east = radial * cos + 2.0 * north * climb_rate
+        forces = np.stack([east, radial * sin, vertical], axis=-1)
         return rotate_about_up(forces, self.table_errors(angles)) if self.table else forces
 
     def products(self, site: Site, forces: Array) -> Array:
@@ -191,14 +177,14 @@ class Stations:
         return _term_products(a_ipo, np.moveaxis(self.rotations(axes), 0, 1))
 
     def table_errors(self, angles: Array) -> Array:
-        """Return the turn of the counter-rotating table about up, rad, shape (n, angles)."""
+        """Return the angle error of the counter-rotating table, rad, shape (n, angles)."""
         errors = np.zeros((len(self.rate), angles.size))
         for n, components in self.table.items():
             errors += components @ np.stack([np.cos(n * angles), np.sin(n * angles)])
         return errors
 
     def axes_under_load(self) -> Array:
-        """Return the axes I, P, O with droop and turn, rows, shape (n, 3, 3)."""
+        """Return the axes I, P, O rotated by droop and turn, as rows, shape (n, 3, 3)."""
         turn = self.turn.copy()
         turn[:, 1] += self.droop * self.rate**2
         return _rotate_axes(self.axes, turn)
@@ -206,10 +192,10 @@ class Stations:
     def rotations(self, axes: Array) -> Array:
         """Return w_I, w_P (rad/s) and dw_O/dt (rad/s^2) of the instruments, shape (n, 3, 1).
 
-        Only an arm takes the instrument round; the Earth's rate is left out. The mean of the
-        angular acceleration over whole revolutions is zero.
+        Only an arm rotates the instrument; the Earth's rate is neglected. The mean of the angular
+        acceleration over whole revolutions is zero.
 
-        axes: I, P, O of each, rows, shape (n, 3, 3).
+        axes: Axes I, P, O of each instrument, as rows, shape (n, 3, 3).
         """
         rotations = np.zeros((len(self.rate), 3, 1))
         if self.motion == "arm":
@@ -217,49 +203,46 @@ class Stations:
         return rotations
 
     def perturb(self, symbol: str, change: Array, head: Array, head_angle: Array) -> Stations:
-        """Return the stations with one of the machine's terms larger by a size.
+        """Return the stations with one machine term changed.
 
-        change: By how much, in the term's unit, shape (n,).
-        head: The axis about which the dividing head turns, in the station's frame, shape (n, 3).
+        change: Change of the term in its unit, shape (n,).
+        head: Axis of the dividing head in the frame of the station, shape (n, 3).
         head_angle: Indicated angle of the head, rad, shape (n,).
         """
-        changed_fields: dict[str, Any]
+        changes: dict[str, Any]
         match term(symbol).effect:
             case SetupError("radius"):
-                changed_fields = {"radius": self.radius + change}
+                changes = {"radius": self.radius + change}
             case SetupError("rate") | Input("clock"):
                 # A fast clock counts too few revolutions: the rate is larger than the one stated.
-                changed_fields = {"rate": self.rate * (1.0 + change)}
+                changes = {"rate": self.rate * (1.0 + change)}
             case TrajectoryError("stretch"):
-                changed_fields = {"stretch": self.stretch + change}
+                changes = {"stretch": self.stretch + change}
             case TrajectoryError("axis_tilt", axis=axis):
                 tilt_change = np.outer(change, (axis == "east", axis == "north"))
-                changed_fields = {"axis_tilt": self.axis_tilt + tilt_change}
+                changes = {"axis_tilt": self.axis_tilt + tilt_change}
             case SetupError("amplitude"):
-                changed_fields = {"amplitude": self.amplitude * (1.0 + change)}
+                changes = {"amplitude": self.amplitude * (1.0 + change)}
             case SetupError("droop"):
-                changed_fields = {"droop": self.droop + change}
+                changes = {"droop": self.droop + change}
             case AttitudeError("table", harmonic=n, quadrature=quadrature):
                 components = np.outer(change, (quadrature == "cos", quadrature == "sin"))
-                changed_fields = {"table": {**self.table, n: self.table.get(n, 0.0) + components}}
+                changes = {"table": {**self.table, n: self.table.get(n, 0.0) + components}}
             case SetupError("misalignment", axis):
-                changed_fields = {
-                    "turn": self.turn + np.outer(change, _unit_vector(axis, self.motion))
-                }
+                rotation = np.outer(change, _unit_vector(axis, self.motion))
+                changes = {"turn": self.turn + rotation}
             case SetupError("zero" | "wave", harmonic=n, quadrature=quadrature):
-                # The zero is a wave of no turns.
-                quadrature_function = np.sin if quadrature == "sin" else np.cos
-                changed_fields = {
-                    "turn": self.turn
-                    + (change * quadrature_function(n * head_angle))[:, None] * head
-                }
+                # The zero error is the harmonic 0.
+                wave = np.sin if quadrature == "sin" else np.cos
+                rotation = (change * wave(n * head_angle))[:, None] * head
+                changes = {"turn": self.turn + rotation}
             case _:
                 raise ValueError(f"{symbol} does not affect any station")
-        return replace(self, **changed_fields)
+        return replace(self, **changes)
 
 
 def _rotate_axes(axes: Array, rotation_vectors: Array) -> Array:
-    """Return axes, rows, after right-handed turns (Rodrigues), shapes (n, 3, 3) and (n, 3)."""
+    """Return axes (rows) after right-handed rotations (Rodrigues), (n, 3, 3) and (n, 3)."""
     if not rotation_vectors.any():
         return axes
     angle = np.linalg.norm(rotation_vectors, axis=1)[:, None, None]
@@ -268,16 +251,15 @@ def _rotate_axes(axes: Array, rotation_vectors: Array) -> Array:
     u, v, w = np.moveaxis(unit_vectors, -1, 0)
     cross_product = np.stack([v * z - w * y, w * x - u * z, u * y - v * x], axis=-1)
     parallel = np.sum(axes * unit_vectors, axis=-1)[..., None] * unit_vectors
-    rotated_axes: Array = (
-        np.cos(angle) * axes + np.sin(angle) * cross_product + (1.0 - np.cos(angle)) * parallel
-    )
+    cos, sin = np.cos(angle), np.sin(angle)
+    rotated_axes: Array = cos * axes + sin * cross_product + (1.0 - cos) * parallel
     return rotated_axes
 
 
 def mean_products(stations: Stations, site: Site) -> Array:
-    """Return the signed products of specific forces, each the mean over a revolution.
+    """Return the means of the signed products of specific forces over a revolution.
 
-    Returns: in g to the power of each product's degree, shape (n, m), in the order of `TERMS`.
+    Returns: shape (n, m) in the order of `TERMS`, in g to the power of the degree of the product.
     """
     # At rest the force is the same at all angles.
     is_static = stations.motion == "static" and not stations.rate.any()
@@ -295,8 +277,9 @@ def mean_products(stations: Stations, site: Site) -> Array:
     )
     harmonics = np.fft.rfft(a_ipo[0]) / _N_ANGLES
     is_sine = np.abs(harmonics[:, 2:]).max(axis=1) <= _ROUNDING
-    means[np.ix_(has_kink & is_sine, _KINKED_INDICES)] = _kinked_sine_means(
-        harmonics[has_kink & is_sine, 0].real, 2.0 * np.abs(harmonics[has_kink & is_sine, 1])
+    rows = has_kink & is_sine
+    means[np.ix_(rows, _KINKED_INDICES)] = _kinked_sine_means(
+        harmonics[rows, 0].real, 2.0 * np.abs(harmonics[rows, 1])
     )
     for k in np.flatnonzero(has_kink & ~is_sine).tolist():
         means[k, _KINKED_INDICES] = _means_with_kinks(stations.take(np.array([k])), site)
@@ -306,22 +289,22 @@ def mean_products(stations: Stations, site: Site) -> Array:
 #: Indices in `TERMS` of the products with a kink or a jump where a_I changes sign.
 _KINKED_INDICES: Final = [index for index, row in enumerate(TERMS.values()) if row.effect.has_kink]
 
-#: Forces (g) and angles (rad) that differ by less are the same.
+#: Smaller differences of forces (g) and angles (rad) are rounding.
 _ROUNDING: Final = 1e-12
 
-#: Panels of a revolution in which sign changes are sought.
+#: Panels per revolution in the search for sign changes.
 _N_PANELS: Final = 8
 
 
 def _kinked_sine_means(mean: Array, amplitude: Array) -> Array:
-    """Return the means of the products that have a kink of a_I = m + A sin(phase).
+    """Return the means of the products with a kink for a_I = m + A sin(phase).
 
     mean, amplitude: g, shape (n,).
     Returns: shape (n, products).
     """
 
     def moments_above(threshold: float) -> tuple[Array, Array, Array]:
-        """Return the means of 1, a_I and a_I^2 where a_I is above a threshold, and 0 elsewhere."""
+        """Return the means of 1, a_I and a_I^2, each set to 0 if a_I is below a threshold."""
         start = np.arcsin(np.clip((threshold - mean) / amplitude, -1.0, 1.0))
         fraction, sine = 0.5 - start / np.pi, np.cos(start) / np.pi
         square = 0.5 * fraction + np.sin(2.0 * start) / (4.0 * np.pi)
@@ -333,19 +316,17 @@ def _kinked_sine_means(mean: Array, amplitude: Array) -> Array:
         moments_above, (-SIGN_WIDTH, SIGN_WIDTH)
     )
     _, first_moment, second_moment = moments_above(0.0)
-    means_by_factors = {
+    means = {
         ("sign_I",): high_fraction + low_fraction - 1.0 + (first_low - first_high) / SIGN_WIDTH,
         ("|I|",): 2.0 * first_moment - mean,
         ("I", "|I|"): 2.0 * second_moment - mean**2 - 0.5 * amplitude**2,
     }
     effects = [row.effect for row in TERMS.values() if row.effect.has_kink]
-    return np.stack(
-        [effect.weight * means_by_factors[effect.factors] for effect in effects], axis=-1
-    )
+    return np.stack([effect.weight * means[effect.factors] for effect in effects], axis=-1)
 
 
 def _means_with_kinks(stations: Stations, site: Site) -> Array:
-    """Return one station's means of products that have a kink, by panels between sign changes."""
+    """Return the means of the products with a kink for one station, by panels."""
     axes, end = stations.axes_under_load(), 2.0 * np.pi
     input_axis, rotation = axes[0, 0] / site.gravity, stations.rotations(axes)[0]
     edges = np.linspace(0.0, end, _N_PANELS + 1)
@@ -376,6 +357,6 @@ def _term_products(a_ipo: Array, rotation: Array) -> Array:
 
 
 def _unit_vector(name: str, motion: str) -> Array:
-    """Return the unit vector of a named axis in a motion's frame; zero where it has none."""
+    """Return the unit vector of a named axis in the frame of a motion; zero if it has none."""
     axis_names = ("outward", "forward", "up") if motion == "arm" else ("east", "north", "up")
     return np.array([float(name == axis_name) for axis_name in axis_names])

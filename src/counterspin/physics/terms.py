@@ -158,9 +158,8 @@ def _product_rows() -> Iterator[Term[SpecificForceProduct]]:
         degree = product.degree
         unit = "g" if degree == 0 else "g/g" if degree == 1 else f"g/g^{degree}"
         unit = _SPECIAL_UNITS.get(symbol, unit)
-        yield _accelerometer_term(
-            symbol, product, description, unit, 1.0 if symbol == "K_I" else 0.0
-        )
+        nominal = 1.0 if symbol == "K_I" else 0.0
+        yield _accelerometer_term(symbol, product, description, unit, nominal)
 
 
 def _slope_rows() -> Iterator[Term[Slope]]:
@@ -199,11 +198,9 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     level_size = f"{_NO_SOURCE}: 0.5 arcsec, for a good level or autocollimator", 0.5 * ARCSEC
     azimuth_size = f"{_NO_SOURCE}: 10 arcsec, because azimuth is harder to determine", 10.0 * ARCSEC
     for axis, name in enumerate(_AXIS_NAMES):
-        source, typical_size = azimuth_size if name == "up" else level_size
-        effect, template = AttitudeError("tilt", axis), f"tilt about {name}"
-        yield Term(
-            f"platform.tilt.{name}", effect, template, "rad", 1e-2, typical_size, source, "run"
-        )
+        source, typical = azimuth_size if name == "up" else level_size
+        effect, words = AttitudeError("tilt", axis), f"tilt about {name}"
+        yield Term(f"platform.tilt.{name}", effect, words, "rad", 1e-2, typical, source, "run")
     drift_source = (
         "one nautical mile per hour, as for K_F: a drift of 0.01 deg/h corresponds to 0.6 "
         "nautical miles per hour"
@@ -213,7 +210,7 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     compliance_template = "platform rotation about {} due to force along {}"
     rate = DEGREE_PER_HOUR
     # kind, unit, description, largest credible and typical size, source, whether it is crossed
-    for error_kind, unit, template, limit, typical_size, source, is_crossed in (
+    for error_kind, unit, template, limit, typical, source, is_crossed in (
         ("drift", "rad/s", "gyro drift about {}", 10 * rate, 0.01 * rate, drift_source, False),
         (
             *("g_sensitivity", "rad/s/g", g_template),
@@ -231,7 +228,7 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
                 description = template.format(*([name] if j is None else suffix))
                 effect = AttitudeError(error_kind, i, j)
                 symbol = f"platform.{error_kind}.{suffix}"
-                sizes = limit, typical_size, source
+                sizes = limit, typical, source
                 yield Term(symbol, effect, description, unit, *sizes, "platform")
     for n, quadrature, description in _harmonic_terms(
         (1, 2), "counter-rotating table error, {} per revolution"
@@ -250,11 +247,8 @@ def _attitude_rows() -> Iterator[Term[AttitudeError]]:
     for axis, name in enumerate(("outward", "forward")):
         tilt = AttitudeError("table_axis", axis)
         description = f"tilt of the table axis about the {name} axis"
-        sizes = (
-            1e-2,
-            10.0 * ARCSEC,
-            f"{_NO_SOURCE}: 10 arcsec, for bearings machined in one setup",
-        )
+        source = f"{_NO_SOURCE}: 10 arcsec, for bearings machined in one setup"
+        sizes = 1e-2, 10.0 * ARCSEC, source
         yield Term(f"table.axis_tilt.{name}", tilt, description, "rad", *sizes, "machine")
 
 
@@ -333,7 +327,7 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
     head_source = f"{_NO_SOURCE}: 5 arcsec"
     rate_source = f"{_NO_SOURCE}: typical mean rate error of a precision centrifuge"
     iso = "ISO 16063-21: 1 % (k = 2) for transducers calibrated by comparison"
-    for symbol, description, unit, limit, typical_size, source, motions in (
+    for symbol, description, unit, limit, typical, source, motions in (
         ("centrifuge.radius.MOUNTING", "radius of the mounting", "m", 0.1, 1e-3, drawing, ("arm",)),
         (proof_mass, "radius to the proof mass", "m", 0.1, 1e-3, drawing, ("arm",)),
         ("centrifuge.rate", "random error of the rate", "1", 1e-2, 1e-7, rate_source, ()),
@@ -365,53 +359,41 @@ def _setup_rows() -> Iterator[Term[SetupError]]:
         ("vibration.amplitude", "common amplitude error", "1", 0.1, 5e-3, iso, ("vibration",)),
         ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head_source, ("static",)),
     ):
-        scope = next(
-            (owner for owner in ("mounting", "position") if owner.upper() in symbol), "machine"
-        )
+        scope = next((s for s in ("mounting", "position") if s.upper() in symbol), "machine")
         scope = "reading" if symbol == "centrifuge.rate" else scope
         quantity, axis_name = symbol.split(".")[1], symbol.rpartition(".")[2]
         is_misalignment = symbol.startswith("fixture.")
         effect = SetupError("misalignment", axis_name) if is_misalignment else SetupError(quantity)
         yield Term(
-            symbol, effect, description, unit, limit, typical_size, source, scope, motions=motions
+            symbol, effect, description, unit, limit, typical, source, scope, motions=motions
         )
     harmonic_source = (
         "order-of-magnitude estimate: mounting errors of arcseconds (Lu et al.), ±5 arcsec "
         "distributed over the harmonics"
     )
-    size_fields = (1e-3, 1e-5, harmonic_source)
-    for n, quadrature, harmonic_description in _harmonic_terms(
+    sizes = 1e-3, 1e-5, harmonic_source
+    for n, quadrature, description in _harmonic_terms(
         (1, 2, 3, 4), "dividing head error, {} per revolution"
     ):
         effect = SetupError("wave", "", n, quadrature)
         symbol = f"{HEAD_HARMONICS}{n}.{quadrature}"
-        yield Term(
-            symbol,
-            effect,
-            harmonic_description,
-            "rad",
-            *size_fields,
-            "machine",
-            motions=("static",),
-        )
+        yield Term(symbol, effect, description, "rad", *sizes, "machine", motions=("static",))
 
 
 def _input_rows() -> Iterator[Term[Input]]:
     radii = "largest relative uncertainty of measured radii (4e-6), at a radius of 2.5 m"
     # An absolute gravimeter is better by a factor of 1000.
-    gravity_source = (
-        f"{_NO_SOURCE}: uncertainty of a value from a gravity map, corrected for height"
-    )
+    map_source = f"{_NO_SOURCE}: uncertainty of a value from a gravity map, corrected for height"
     delay, cutoff = "delay of the recorded angle", "low-pass cutoff frequency of the recorder"
     frequency_source, cutoff_source = f"{_NO_SOURCE}: 5 % of 400 Hz", f"{_NO_SOURCE}: 5 % of 100 Hz"
     table_source, multiples = "standard uncertainty in the response table", (-100.0, 100.0)
     poles, latitude_source = (-0.5 * math.pi, 0.5 * math.pi), "position error of 30 m on the ground"
     clock_source = "a free-running quartz oscillator"
     # symbol, description, unit, possible range, largest credible and default error, source
-    for symbol, description, unit, bounds, limit, typical_size, source in (
+    for symbol, description, unit, bounds, limit, typical, source in (
         ("centrifuge.radius", "radius of the centrifuge", "m", (0.01, 100.0), 0.1, 1e-5, radii),
         # On Earth, from Huascaran to the Arctic Ocean.
-        ("site.gravity", "gravity of the site", "m/s^2", (9.76, 9.84), 0.08, 1e-4, gravity_source),
+        ("site.gravity", "gravity of the site", "m/s^2", (9.76, 9.84), 0.08, 1e-4, map_source),
         ("site.latitude", "latitude of the site", "rad", poles, math.pi, 5e-6, latitude_source),
         ("records.timing_offset", delay, "s", (-1.0, 1.0), 10.0, 1e-5, "one sample at 100 kHz"),
         ("records.clock", "recorder clock error", "1", (-1e-2, 1e-2), 1e-2, 2e-5, clock_source),
@@ -447,7 +429,7 @@ def _input_rows() -> Iterator[Term[Input]]:
         ("records.cutoff_frequency", cutoff, "Hz", (1e-2, 1e6), 1e4, 5.0, cutoff_source),
     ):
         effect = Input(symbol.partition(".")[2], bounds)
-        yield Term(symbol, effect, description, unit, limit, typical_size, source, "input")
+        yield Term(symbol, effect, description, unit, limit, typical, source, "input")
 
 
 def _index_by_symbol(rows: Iterator[Term[EffectT]]) -> Mapping[str, Term[EffectT]]:
