@@ -381,23 +381,21 @@ def _missing_conditions(
 ) -> Mistakes:
     """Yield missing conditions of the slopes in a model, and slopes that cannot be determined."""
     reference = centrifuge and centrifuge.reference_temperature
-    requested_rows = [
+    rows = [
         row
         for symbol, row in CONDITION_TERMS.items()
         if symbol in {*model.terms, *model.considered}
     ]
     for key in STATED_CONDITIONS:
         condition_keys = (key, "direction") if key == "temperature" else (key,)
-        term_symbol = next(
-            (row.symbol for row in requested_rows if row.effect.condition in condition_keys), None
-        )
+        symbol = next((row.symbol for row in rows if row.effect.condition in condition_keys), None)
         runs_with_record = recorded_temperatures if key == "temperature" else ()
         stated_flags = [
             getattr(run, key) is not None or run.name in runs_with_record for run in runs.values()
         ]
-        if term_symbol is None and (key != "time" or not any(stated_flags)):
+        if symbol is None and (key != "time" or not any(stated_flags)):
             continue
-        reason = f"{term_symbol} is in the model" if term_symbol else "other runs state this value"
+        reason = f"{symbol} is in the model" if symbol else "other runs state this value"
         (example,) = Run.model_fields[key].examples or ("",)
         for index, is_stated in zip(runs, stated_flags, strict=True):
             if not is_stated:
@@ -405,11 +403,11 @@ def _missing_conditions(
                 yield ("runs", index, key), Problem(message, "missing-key")
         if runs_with_record or reference is not None or not runs or not all(stated_flags):
             continue
-        if term_symbol and key == "temperature":
+        if symbol and key == "temperature":
             temperatures = {value for run in runs.values() for value in run.temperature or ()}
             if len(temperatures) == 1:
                 yield (
                     ("centrifuge", "reference_temperature"),
-                    f"is missing: {term_symbol} is in the model, but all runs are at the same "
+                    f"is missing: {symbol} is in the model, but all runs are at the same "
                     "temperature",
                 )

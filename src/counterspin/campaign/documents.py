@@ -181,12 +181,10 @@ def _detect_kind(document: Mapping[str, Any]) -> DocumentKind | None:
 def campaign_error(file: Path, problems: Sequence[str]) -> CampaignError:
     """Return the error with the problems of a file, in the order of its lines."""
     lines = message_lines(problems, file)
-    sorted_pairs = sorted(
+    pairs = sorted(
         zip(problems, lines, strict=True), key=lambda pair: (pair[1] is None, pair[1] or 0)
     )
-    return CampaignError(
-        str(file), [problem for problem, _ in sorted_pairs], [line for _, line in sorted_pairs]
-    )
+    return CampaignError(str(file), [problem for problem, _ in pairs], [line for _, line in pairs])
 
 
 def parse_document(content: bytes, source: str) -> dict[str, Any]:

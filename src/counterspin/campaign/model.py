@@ -452,14 +452,9 @@ def _missing_priors(
     for symbol in considered:
         if symbol in INPUTS or symbol in shared_priors:
             continue
-        owners_without_prior = [
-            name for name, priors in accelerometer_priors.items() if symbol not in priors
-        ]
-        if symbol not in ACCELEROMETER_TERMS or owners_without_prior:
-            yield (
-                symbol,
-                ", ".join(owners_without_prior) if symbol in ACCELEROMETER_TERMS else "the machine",
-            )
+        owners = [name for name, priors in accelerometer_priors.items() if symbol not in priors]
+        if symbol not in ACCELEROMETER_TERMS or owners:
+            yield symbol, ", ".join(owners) if symbol in ACCELEROMETER_TERMS else "the machine"
 
 
 def _resolve_sizes(

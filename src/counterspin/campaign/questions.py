@@ -57,20 +57,12 @@ def _question_gravity(campaign: Campaign) -> Iterator[Question]:
     margin = 3.0 * math.hypot(campaign.gravity.u, _gravity_gradient(campaign) * campaign.latitude.u)
     latitude_deg = math.degrees(campaign.site.latitude)
     removed_gravity = campaign.site.removed_gravity
-    stated_values = [
-        (
-            "site",
-            "Gravity",
-            campaign.site.gravity,
-            "Do gravity and latitude belong to the same site?",
-        )
-    ]
+    question = "Do gravity and latitude belong to the same site?"
+    values = [("site", "Gravity", campaign.site.gravity, question)]
     if removed_gravity is not None and removed_gravity not in _STANDARD_GRAVITIES:
-        removed_question = "Does the computer really subtract this value?"
-        stated_values.append(
-            ("site.removed_gravity", "The removed gravity", removed_gravity, removed_question)
-        )
-    for subject, label, gravity, closing_question in stated_values:
+        question = "Does the computer really subtract this value?"
+        values.append(("site.removed_gravity", "The removed gravity", removed_gravity, question))
+    for subject, label, gravity, question in values:
         if min_gravity - margin <= gravity <= max_gravity + margin:
             continue
         yield Question(
@@ -79,7 +71,7 @@ def _question_gravity(campaign: Campaign) -> Iterator[Question]:
             text=f"{label} of {gravity:.6g} m/s^2 does not agree with latitude "
             f"{latitude_deg:.4g} deg. At this latitude and heights from {HEIGHT_RANGE[0]:.0f} to "
             f"{HEIGHT_RANGE[1]:.0f} m, gravity is {min_gravity:.4f} to {max_gravity:.4f} m/s^2. "
-            f"{closing_question}",
+            f"{question}",
         )
 
 

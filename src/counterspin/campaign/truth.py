@@ -37,10 +37,8 @@ _AS_STATED: Final = "as stated"
 def _parse_clock_errors(value: object) -> dict[str, float]:
     """Return recorder -> relative rate error of its clock; ``*`` stands for all recorders."""
     error_by_recorder = value if isinstance(value, Mapping) else {ALL_RECORDERS: value}
-    clock_errors = {
-        str(name): parse_ratio(clock_error) for name, clock_error in error_by_recorder.items()
-    }
-    if any(abs(clock_error) > _MAX_CLOCK_ERROR for clock_error in clock_errors.values()):
+    clock_errors = {str(name): parse_ratio(error) for name, error in error_by_recorder.items()}
+    if any(abs(error) > _MAX_CLOCK_ERROR for error in clock_errors.values()):
         raise OutOfRangeError("a clock error above 1 % is implausible")
     return clock_errors
 

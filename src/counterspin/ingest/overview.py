@@ -78,7 +78,7 @@ def _describe_file(contents: FileContents) -> Iterator[str]:
 
 def _find_sampling_remarks(guess: FileGuess) -> Iterator[str]:
     """Yield remarks on repeated values, repeated times and missing samples of a file."""
-    columns_by_percentage: dict[float, list[str]] = {}
+    names_by_percentage: dict[int, list[str]] = {}
     for column in guess.contents.columns:
         clocks = [guess.time and guess.time.column, guess.shared_times and guess.shared_times.name]
         if column.is_timestamp or column.name in clocks:
@@ -89,10 +89,9 @@ def _find_sampling_remarks(guess: FileGuess) -> Iterator[str]:
             yield f"column '{column.name}': {error}"
             continue
         if holding is not None:
-            columns_by_percentage.setdefault(round(100.0 * (1.0 - 1.0 / holding.rows)), []).append(
-                column.name
-            )
-    for percentage, names in columns_by_percentage.items():
+            percentage = round(100.0 * (1.0 - 1.0 / holding.rows))
+            names_by_percentage.setdefault(percentage, []).append(column.name)
+    for percentage, names in names_by_percentage.items():
         yield (
             f"repeated values: {percentage:g} % of {format_names(names)}, which is typical of a "
             "logging rate above the output rate of the sensor; only new values are used"
@@ -110,7 +109,7 @@ def _find_sampling_remarks(guess: FileGuess) -> Iterator[str]:
     time = column.values[np.isfinite(column.values)]
     steps = np.diff(time)
     n_repeats = int(np.sum(steps == 0.0))
-    if n_repeats and not any(columns_by_percentage):
+    if n_repeats and not any(names_by_percentage):
         yield f"repeated times: {n_repeats} of {time.size} rows have the same time as the "
         "previous row"
     median_step = median(steps[steps > 0.0]) if (steps > 0.0).any() else math.nan
@@ -131,11 +130,7 @@ def _describe_sampling(guess: FileGuess) -> str:
         return f"{guess.sampling_rate:.8g} rows per second" if guess.sampling_rate else ""
     if guess.time.unit is None:
         return ""
-    column = next(
-        time_column
-        for time_column in guess.contents.columns
-        if time_column.name == guess.time.column
-    )
+    column = next(column for column in guess.contents.columns if column.name == guess.time.column)
     steps = np.diff(column.values[np.isfinite(column.values)]) * guess.time.factor
     if guess.contents.is_mixed:  # rows of several sensors have no common step
         return f"about {1.0 / np.mean(steps):.4g} rows per second from all sensors together"

@@ -286,11 +286,7 @@ def _make_angle_questions(
 
 def _make_signal_questions(common_guess: FileGuess) -> Iterator[FileQuestion]:
     signals = {signal.column: signal for signal in common_guess.signals}
-    other_columns = {
-        column_guess.column
-        for column_guess in (common_guess.time, common_guess.angle)
-        if column_guess
-    }
+    other_columns = {guess.column for guess in (common_guess.time, common_guess.angle) if guess}
     for column in common_guess.contents.columns:
         name = column.name
         if name in other_columns or column.is_timestamp:

@@ -553,14 +553,12 @@ def _count_unclosed_line_ends(chunk: bytes, open_line_ends: int) -> int:
     line_ends = np.flatnonzero(byte_values == ord("\n"))
     # Line ends before each mark and at the end of the chunk.
     line_ends_before = np.append(np.searchsorted(line_ends, quotation_marks), len(line_ends))
-    line_ends_in_cells = np.diff(line_ends_before, prepend=1 - open_line_ends)[
-        0 if open_line_ends else 1 :: 2
-    ]
-    max_count = int(line_ends_in_cells.max(initial=0))
+    counts = np.diff(line_ends_before, prepend=1 - open_line_ends)[0 if open_line_ends else 1 :: 2]
+    max_count = int(counts.max(initial=0))
     is_open = (len(quotation_marks) % 2 == 1) != (open_line_ends > 0)
     if max_count > _MAX_CELL_LINE_ENDS:
         return max_count
-    return int(line_ends_in_cells[-1]) + 1 if is_open else 0
+    return int(counts[-1]) + 1 if is_open else 0
 
 
 def _split_by_tabs(line: bytes) -> bytes:

@@ -219,23 +219,12 @@ def plain_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
     delimiter = dialect.delimiter or max(SINGLE_DELIMITERS, key=line.count)
     names = split_cells(_COMMENT_MARK.sub("", line, count=1), delimiter)
     # A blank line before the rows would stop the parser.
-    body = iter(
-        [
-            line_number
-            for line_number, line_text in lines
-            if line_number > number and line_text.strip()
-        ]
-    )
+    body = (n for n, text in lines if n > number and text.strip())
     unit_cells: list[str] = []
     if dialect.units_row:
         units_line = next(body, number + 1)
         unit_cells = next(
-            (
-                split_cells(line_text, delimiter)
-                for line_number, line_text in lines
-                if line_number == units_line
-            ),
-            [],
+            (split_cells(text, delimiter) for n, text in lines if n == units_line), []
         )
     units = [
         parse_file_unit(cell) or "" for cell in [*unit_cells, *[""] * len(names)][: len(names)]

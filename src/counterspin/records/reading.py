@@ -413,8 +413,8 @@ class _RecordReader:
             if self._block > 1:
                 signal = self._reject_outlying_blocks(blocks, index, signal)
             if not self._motion.has_constant_input:
-                signal, harmonic_fit = self._check_amplitude(index, name, blocks, phase, signal)
-                noise = residual_noise(harmonic_fit) * np.sqrt(median(blocks.count))
+                signal, fit = self._check_amplitude(index, name, blocks, phase, signal)
+                noise = residual_noise(fit) * np.sqrt(median(blocks.count))
                 batches = self._file.batches(self._columns.names)
                 rows = ((batch[self._columns.time.name], batch[spec.name]) for batch in batches)
                 moments = self._sums.coefficients(index, noise / spec.factor, rows)
@@ -455,9 +455,9 @@ class _RecordReader:
         RecordError if the amplitude changes or does not agree with the motion.
         """
         harmonic = self._motion.expected_harmonics.get(accelerometer)
-        harmonic_fit = fit_harmonics(phase, signal)
+        fit = fit_harmonics(phase, signal)
         no_rows = np.empty(0, dtype=int)
-        dropout = no_rows if harmonic is None else find_dropout(harmonic_fit, phase, signal)
+        dropout = no_rows if harmonic is None else find_dropout(fit, phase, signal)
         if len(dropout) > MAX_EMPTY_FRACTION * len(signal):
             start, end = blocks.time[dropout[0]], blocks.time[dropout[-1]]
             raise RecordError(
@@ -474,31 +474,31 @@ class _RecordReader:
             self._outlier_counts[index] += int(blocks.count[dropout].sum())
             signal = signal.copy()
             signal[dropout] = np.nan
-            harmonic_fit = fit_harmonics(phase, signal)
-        change = find_unit_change(harmonic_fit, may_grow=harmonic is None)
+            fit = fit_harmonics(phase, signal)
+        change = find_unit_change(fit, may_grow=harmonic is None)
         if change is not None:
-            raise self._unit_change_error(accelerometer, harmonic_fit, change, blocks.time, phase)
+            raise self._unit_change_error(accelerometer, fit, change, blocks.time, phase)
         if harmonic is not None:
-            problem = check_first_harmonic(harmonic_fit, harmonic, self._columns.angle is not None)
+            problem = check_first_harmonic(fit, harmonic, self._columns.angle is not None)
             if problem is not None:
                 column = self._columns.signals[accelerometer].name
                 raise RecordError(
                     f"{self._file.path}: column '{column}' {problem}.", code="wrong-scale"
                 )
-        return signal, harmonic_fit
+        return signal, fit
 
     def _unit_change_error(
         self,
         accelerometer: str,
-        harmonic_fit: HarmonicFit,
+        fit: HarmonicFit,
         change: UnitChange,
         block_times: np.ndarray,
         phase: np.ndarray,
     ) -> RecordError:
         """Return the error for a change of unit, with its location in the file."""
         # Samples near the change were rejected as outliers: read the file again.
-        start = block_times[harmonic_fit.first_sample[change.revolution_before]]
-        end = block_times[harmonic_fit.last_sample[change.revolution_after]]
+        start = block_times[fit.first_sample[change.revolution_before]]
+        end = block_times[fit.last_sample[change.revolution_after]]
         spec = self._columns.signals[accelerometer]
         rows: list[np.ndarray] = []
         times: list[np.ndarray] = []
@@ -512,10 +512,8 @@ class _RecordReader:
             signals.append(_scale(columns[spec.name][rows_inside], spec.factor, spec.offset))
             row += len(time)
         angle = np.interp(np.concatenate(times), block_times, phase)
-        row_index = min(
-            find_changepoint(harmonic_fit, change, angle, np.concatenate(signals)), len(angle) - 1
-        )
-        location = self._file.locate_row(int(np.concatenate(rows)[row_index]))
+        index = min(find_changepoint(fit, change, angle, np.concatenate(signals)), len(angle) - 1)
+        location = self._file.locate_row(int(np.concatenate(rows)[index]))
         return RecordError(
             f"{self._file.path}, {location}: column '{spec.name}' changes its unit or scale: "
             f"{change.description}. End the record before this row, or correct the column.",

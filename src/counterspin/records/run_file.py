@@ -144,15 +144,11 @@ def interpolate_pulses(pulses: Array, time: Array, rate: float, per_revolution: 
     pulse_step = math.copysign(2 * math.pi / per_revolution, rate)
     angles = pulse_step * np.concatenate([[0.0], np.cumsum(pulse_counts)])
     # Average the two parabolas through the ends of an interval, weighted by distance.
-    interval_indices = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, len(pulses) - 2)
-    fraction = np.clip((time - pulses[interval_indices]) / steps[interval_indices], 0.0, 1.0)
-    left_angle = _interpolate_parabola(
-        pulses, angles, np.clip(interval_indices, 1, len(pulses) - 2), time
-    )
-    right_angle = _interpolate_parabola(
-        pulses, angles, np.clip(interval_indices + 1, 1, len(pulses) - 2), time
-    )
-    angle: Array = (1.0 - fraction) * left_angle + fraction * right_angle
+    indices = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, len(pulses) - 2)
+    fraction = np.clip((time - pulses[indices]) / steps[indices], 0.0, 1.0)
+    left = _interpolate_parabola(pulses, angles, np.clip(indices, 1, len(pulses) - 2), time)
+    right = _interpolate_parabola(pulses, angles, np.clip(indices + 1, 1, len(pulses) - 2), time)
+    angle: Array = (1.0 - fraction) * left + fraction * right
     is_outside = (time < pulses[0] - interval) | (time > pulses[-1] + interval)
     angle[is_outside] = np.nan
     return angle
