@@ -214,9 +214,7 @@ def _choose_mounting(campaign: Campaign, mounting: str | None) -> str | None:
         if symbol.startswith("fixture.misalignment.") and symbol.endswith((".forward", ".up"))
     ]
     names = list(dict.fromkeys(aligned_mountings))
-    known_names = list(
-        dict.fromkeys([*names, *(reading.mounting for reading in campaign.readings)])
-    )
+    known_names = dict.fromkeys([*names, *(reading.mounting for reading in campaign.readings)])
     if mounting is not None:
         if mounting not in known_names:
             known_text = ", ".join(filter(None, known_names)) or "none"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from counterspin.acceleration_standard.page import budget_table, format_level, validation_sentence
-from counterspin.acceleration_standard.result import AppliedAcceleration, AppliedLevel
+from counterspin.acceleration_standard.result import AppliedAcceleration, AppliedLevel, Origin
 from counterspin.certificates import certificate_text
 from counterspin.certificates.build import render_extension, serialize_document
 from counterspin.certificates.certificate_text import coverage_factor
@@ -104,20 +104,13 @@ def certify_applied(
     laboratory = read_machine_lab(lab, result.gravity)
     source = "the laboratory data" if isinstance(lab, Mapping) else str(lab)
     folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
-    assumed_symbols = [
-        applied_source.symbol
-        for applied_source in result.applied_sources
-        if applied_source.origin == "assumed"
-    ]
+    assumed_symbols = _source_symbols(result, "assumed")
     require_evidence(assumed_symbols, laboratory.evidence, source)
-    missing_entries = [
-        *missing_administrative_data(laboratory),
-        *_missing_evidence(laboratory, result),
-    ]
-    if missing_entries and signer is not None:
-        raise CampaignError(source, missing_lines(missing_entries), code="certificate-incomplete")
+    entries = [*missing_administrative_data(laboratory), *_missing_evidence(laboratory, result)]
+    if entries and signer is not None:
+        raise CampaignError(source, missing_lines(entries), code="certificate-incomplete")
     issue = replace(
-        make_issue(laboratory, result.content, None, (), is_draft=bool(missing_entries)),
+        make_issue(laboratory, result.content, None, (), is_draft=bool(entries)),
         is_signed=signer is not None,
         logo=read_laboratory_logo(laboratory, folder, source),
     )
@@ -132,7 +125,7 @@ def certify_applied(
     return Certificate(
         identifier=issue.identifier,
         accelerometers=[],
-        notes=[*issue_notes(laboratory, issue, missing_entries), *signer_notes(signer, issue)],
+        notes=[*issue_notes(laboratory, issue, entries), *signer_notes(signer, issue)],
         xml=xml,
         pages=lambda: sign_pages_if_requested(render_pages(blocks, issue, xml=xml), signer),
         page_images=lambda: render_images(blocks, issue),
@@ -142,6 +135,10 @@ def certify_applied(
         reason="issued",
         draft=issue.is_draft,
     )
+
+
+def _source_symbols(result: AppliedAcceleration, origin: Origin) -> list[str]:
+    return [source.symbol for source in result.applied_sources if source.origin == origin]
 
 
 def _stated_u(lab: Lab, level: AppliedLevel) -> float:
@@ -192,11 +189,7 @@ def _certificate_statements(
         for level, u in stated_levels
         if u > _evaluated_u(level)
     ]
-    assumed_symbols = [
-        applied_source.symbol
-        for applied_source in result.applied_sources
-        if applied_source.origin == "assumed"
-    ]
+    assumed_symbols = _source_symbols(result, "assumed")
     default_symbols = list(_default_shares(result))
     return [
         (certificate_text.UNCERTAINTY_HEADING, _uncertainty_lines(result), ("JCGM 100:2008",)),
@@ -223,11 +216,7 @@ def _certificate_statements(
 
 def _uncertainty_lines(result: AppliedAcceleration) -> list[str]:
     k = coverage_factor(None)
-    default_symbols = [
-        applied_source.symbol
-        for applied_source in result.applied_sources
-        if applied_source.origin == "default"
-    ]
+    default_symbols = _source_symbols(result, "default")
     lines = [
         "The number after ± is the expanded uncertainty U. U is the combined standard "
         "uncertainty according to the GUM (JCGM 100), multiplied by the coverage factor k = "

@@ -107,17 +107,15 @@ def _describe_dominant_source(result: AppliedAcceleration, level: AppliedLevel) 
 def validation_sentence(result: AppliedAcceleration) -> str:
     """Return a sentence on the validation of the GUM intervals."""
     draws_text = f"{result.draws} draws, seed {result.seed}"
-    failed_levels = [
-        format_level(level) for level in result.levels if not level.monte_carlo.validated
-    ]
-    if not failed_levels:
+    failures = [format_level(level) for level in result.levels if not level.monte_carlo.validated]
+    if not failures:
         return (
             f"Monte Carlo (JCGM 101, {draws_text}) validates the 95 % GUM interval at all levels "
             "to two digits of u."
         )
     return (
         f"Monte Carlo (JCGM 101, {draws_text}) does not validate the 95 % GUM interval to two "
-        f"digits of u at {', '.join(failed_levels)}."
+        f"digits of u at {', '.join(failures)}."
     )
 
 
@@ -173,7 +171,7 @@ def budget_table(result: AppliedAcceleration, level: AppliedLevel) -> Table:
     return Table(
         (
             Column("Source", wraps=True, min_width=16),
-            Column("standard uncertainty of the source", "right"),
+            Column("Standard uncertainty of the source", "right"),
             Column("Sensitivity", "right"),
             Column("Unit"),
             Column("Contribution, m/s^2", "right"),

@@ -179,9 +179,9 @@ def apply(
     reference = result.inputs.reference_temperature
     if reference is not None and options.temperature is not None:
         available_factors |= {"temperature"}
-    completed_result, omitted_symbols = add_unstated_terms(result, available_factors)
+    full_result, omitted_symbols = add_unstated_terms(result, available_factors)
     instruments = [
-        make_instrument(completed_result, name, needs_mounting=bool(options.others))
+        make_instrument(full_result, name, needs_mounting=bool(options.others))
         for name in indications
     ]
     judged_result = judge_result(result)
@@ -209,7 +209,7 @@ def apply(
         np.asarray(values, dtype=np.float64) * scales[name].factor - scales[name].zero
         for name, values in indications.items()
     ]
-    covariances = cross_covariances(completed_result, instruments)
+    covariances = cross_covariances(full_result, instruments)
     forces = correct(instruments, np.stack(columns, axis=1), known_forces, covariances, offset)
     calibrations = [result.accelerometers[name] for name in indications]
     correction = Correction(
@@ -281,7 +281,7 @@ def _require_determined(result: Result, names: Iterable[str]) -> None:
 
 
 @frozen
-class _ColumnScale:
+class _Scale:
     """Conversion of a column to specific force, g: a factor, and an offset to subtract."""
 
     factor: float
@@ -290,14 +290,14 @@ class _ColumnScale:
 
 def _column_scales(
     result: Result, names: Iterable[str], unit: str
-) -> tuple[str, dict[str, _ColumnScale]]:
+) -> tuple[str, dict[str, _Scale]]:
     """Return the unit of the corrected values, and the conversion of each column."""
     try:
         factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
     except ValueError as error:
         unit_error = error
     else:
-        return unit, dict.fromkeys(names, _ColumnScale(factor))
+        return unit, dict.fromkeys(names, _Scale(factor))
     scales = {}
     for name in names:
         accelerometer = result.accelerometers.get(name)
@@ -311,9 +311,7 @@ def _column_scales(
             if nominal is None:
                 text += f"; the result does not state a different output for {name}"
             raise CampaignError(_SOURCE, [text], code=error_code(error)) from error
-        scales[name] = _ColumnScale(
-            factor / nominal.sensitivity, nominal.zero / nominal.sensitivity
-        )
+        scales[name] = _Scale(factor / nominal.sensitivity, nominal.zero / nominal.sensitivity)
     return "g", scales
 
 
@@ -415,30 +413,24 @@ def _missing_force_errors(
 
 def _applied_note(name: str, accelerometer: AccelerometerResult) -> str:
     terms = determined_terms(accelerometer)
-    estimated_text = ", ".join(
-        symbol for symbol, coefficient in terms.items() if coefficient.estimated
-    )
-    prior_text = ", ".join(
-        symbol for symbol, coefficient in terms.items() if not coefficient.estimated
-    )
-    clauses = [f"as estimated: {estimated_text}"] if estimated_text else []
-    clauses += [f"from priors: {prior_text}"] if prior_text else []
+    estimates = ", ".join(symbol for symbol, coefficient in terms.items() if coefficient.estimated)
+    priors = ", ".join(symbol for symbol, coefficient in terms.items() if not coefficient.estimated)
+    clauses = [f"as estimated: {estimates}"] if estimates else []
+    clauses += [f"from priors: {priors}"] if priors else []
     return f"{name}: coefficients applied {'; '.join(clauses) or 'none'}."
 
 
 def _omitted_term_warnings(name: str, accelerometer: AccelerometerResult) -> list[str]:
     terms = applicable_terms(accelerometer)
     warnings = []
-    undetermined_symbols = [
-        symbol for symbol, coefficient in terms.items() if coefficient.value is None
-    ]
-    if undetermined_symbols:
+    missing_symbols = [symbol for symbol, coefficient in terms.items() if coefficient.value is None]
+    if missing_symbols:
         warnings.append(
-            f"{name}: the result does not determine {', '.join(undetermined_symbols)}, so the "
+            f"{name}: the result does not determine {', '.join(missing_symbols)}, so the "
             "correction does not apply these terms, and u does not include their uncertainty."
         )
     for symbol, row in TERMS.items():
-        if row.nominal and (symbol not in terms or symbol in undetermined_symbols):
+        if row.nominal and (symbol not in terms or symbol in missing_symbols):
             warnings.append(
                 f"{name}: the result has no value for {symbol} ({row.words}). The correction "
                 f"uses {row.nominal:g} {row.unit} as an exact value."

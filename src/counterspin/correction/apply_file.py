@@ -160,17 +160,16 @@ def apply_file(
     values = read_numbers(source, names, options.dialect)
     units = {name: table.units.get(name, "") for name in names}
     temperature_column = inputs.get("temperature")
-    _check_units(
-        source, {name: u for name, u in units.items() if name != temperature_column}, options.unit
-    )
+    force_units = {name: unit for name, unit in units.items() if name != temperature_column}
+    _check_units(source, force_units, options.unit)
     if temperature_column in values:
         values[temperature_column] = _convert_to_celsius(
             source, temperature_column, values[temperature_column], units[temperature_column]
         )
     for name in (
-        f"{corrected_column}_corrected{u}"
+        f"{corrected_column}_corrected{ending}"
         for corrected_column in corrected_columns.values()
-        for u in ("", "_u")
+        for ending in ("", "_u")
     ):
         if name in frame.columns:
             raise CampaignError(
@@ -302,10 +301,8 @@ def _make_writer(frame: pl.DataFrame, suffix: str, decimal: str) -> Callable[[Pa
     """Return a function that writes a table; new numbers in text have the format of the file."""
     separator = _SEPARATORS[suffix]
     if separator is None:
-        typed_frame = pl.DataFrame(
-            [_parse_column(column, decimal) for column in frame.get_columns()]
-        )
-        return lambda path: write_binary(path, typed_frame.write_parquet)
+        table = pl.DataFrame([_parse_column(column, decimal) for column in frame.get_columns()])
+        return lambda path: write_binary(path, table.write_parquet)
     uses_comma = decimal == ","
     separator = ";" if uses_comma and separator == "," else separator
     write = partial(frame.write_csv, separator=separator, decimal_comma=uses_comma)

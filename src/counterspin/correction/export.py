@@ -160,18 +160,15 @@ def export(
 
 def coefficient_table(result: Result) -> CoefficientTable:
     """Return all coefficients that have a value: estimates, stated priors, default priors."""
-    completed_result, _ = add_unstated_terms(result, _ALL_FACTORS)
-    instruments = [
-        make_instrument(completed_result, name) for name in completed_result.accelerometers
-    ]
+    full_result, _ = add_unstated_terms(result, _ALL_FACTORS)
+    instruments = [make_instrument(full_result, name) for name in full_result.accelerometers]
     terms = [
-        applicable_terms(accelerometer)
-        for accelerometer in completed_result.accelerometers.values()
+        applicable_terms(accelerometer) for accelerometer in full_result.accelerometers.values()
     ]
     offsets = np.cumsum([0, *(len(instrument.coefficients) for instrument in instruments)])
     covariance = np.zeros((offsets[-1], offsets[-1]))
     blocks = {(i, i): instrument.covariance for i, instrument in enumerate(instruments)}
-    for (i, j), block in (blocks | cross_covariances(completed_result, instruments)).items():
+    for (i, j), block in (blocks | cross_covariances(full_result, instruments)).items():
         rows, columns = slice(offsets[i], offsets[i + 1]), slice(offsets[j], offsets[j + 1])
         covariance[rows, columns] = block
         covariance[columns, rows] = block.T

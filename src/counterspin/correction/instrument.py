@@ -76,8 +76,8 @@ def predict(
     forces = np.stack(np.broadcast_arrays(*components))
     if forces.ndim != 2 or not forces.size or not np.isfinite(forces).all():
         raise ValueError("specific forces must be finite numbers, or arrays of equal length")
-    completed_result, _ = add_unstated_terms(result, ("I", "|I|", "sign_I", "P", "O"))
-    return Prediction(*indication(make_instrument(completed_result, accelerometer), forces))
+    full_result, _ = add_unstated_terms(result, ("I", "|I|", "sign_I", "P", "O"))
+    return Prediction(*indication(make_instrument(full_result, accelerometer), forces))
 
 
 def make_instrument(
@@ -131,10 +131,8 @@ def make_instrument(
     hysteresis = {**accelerometer.known, **accelerometer.coefficients}.get(HYSTERESIS_SYMBOL)
     if hysteresis is not None and "K_F" in values:
         # The bias differs by half of the hysteresis, with an unknown sign.
-        index = list(values).index("K_F")
-        covariance[index, index] += (
-            (hysteresis.value or 0.0) ** 2 + (hysteresis.u or 0.0) ** 2
-        ) / 4.0
+        i = list(values).index("K_F")
+        covariance[i, i] += ((hysteresis.value or 0.0) ** 2 + (hysteresis.u or 0.0) ** 2) / 4.0
     if not is_valid_covariance(covariance):
         # For any correlation, (sum of n errors)^2 is at most n times the sum of squares.
         covariance = len(terms) * np.diag(np.diag(covariance))
@@ -143,10 +141,8 @@ def make_instrument(
 
 def applicable_terms(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
     """Return the coefficients of an accelerometer that a correction can apply."""
-    coefficients = {**accelerometer.known, **accelerometer.coefficients}
-    return {
-        symbol: coefficient for symbol, coefficient in coefficients.items() if is_applicable(symbol)
-    }
+    terms = {**accelerometer.known, **accelerometer.coefficients}
+    return {symbol: coefficient for symbol, coefficient in terms.items() if is_applicable(symbol)}
 
 
 def is_applicable(symbol: str) -> bool:
@@ -198,9 +194,7 @@ def term_covariance(accelerometer: AccelerometerResult, terms: Mapping[str, Coef
     return covariance
 
 
-def is_valid_covariance(covariance: Array) -> bool:
+def is_valid_covariance(matrix: Array) -> bool:
     """Return whether a matrix is positive semidefinite within rounding errors."""
-    root = semidefinite_root(covariance)
-    return bool(
-        np.all(np.sum(root**2, axis=1) <= np.diag(covariance) * (1.0 + _VARIANCE_TOLERANCE))
-    )
+    root = semidefinite_root(matrix)
+    return bool(np.all(np.sum(root**2, axis=1) <= np.diag(matrix) * (1.0 + _VARIANCE_TOLERANCE)))

@@ -64,9 +64,7 @@ def _temperature_dependences(instruments: Sequence[CalibratedAccelerometer]) -> 
             yield f"{', '.join(symbols)} of {instrument.name} {verb}"
 
 
-def _parse_temperature(
-    temperature: Temperature,
-) -> tuple[npt.NDArray[np.float64] | float | None, float]:
+def _parse_temperature(temperature: Temperature) -> tuple[Array | float | None, float]:
     """Return a temperature and its u, K."""
     if isinstance(temperature, str):
         try:
@@ -101,11 +99,8 @@ def temperature_warnings(
     result: Result, offset: TemperatureOffset, temperature: Temperature
 ) -> Iterator[str]:
     """Yield warnings on temperatures outside those of the calibration."""
-    reference, calibrated_temperatures = (
-        result.inputs.reference_temperature,
-        result.inputs.temperatures,
-    )
-    if temperature is None or reference is None or not calibrated_temperatures:
+    reference, calibrated_range = result.inputs.reference_temperature, result.inputs.temperatures
+    if temperature is None or reference is None or not calibrated_range:
         return
     temperatures = np.asarray(offset.value) + reference
     temperatures = temperatures[np.isfinite(temperatures)]
@@ -113,12 +108,12 @@ def temperature_warnings(
         return
     low, high = float(temperatures.min()), float(temperatures.max())
     if (
-        low < calibrated_temperatures[0] - _TEMPERATURE_MARGIN
-        or high > calibrated_temperatures[1] + _TEMPERATURE_MARGIN
+        low < calibrated_range[0] - _TEMPERATURE_MARGIN
+        or high > calibrated_range[1] + _TEMPERATURE_MARGIN
     ):
         yield (
             f"The temperature is {_format_range(low, high)}, but the calibration temperature was "
-            f"{_format_range(*calibrated_temperatures)}. Outside the calibrated range, the "
+            f"{_format_range(*calibrated_range)}. Outside the calibrated range, the "
             "temperature slopes of the result are the only temperature effect included in u."
         )
 

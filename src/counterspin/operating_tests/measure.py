@@ -75,28 +75,24 @@ def operating(
         raise UsageError("operating", [problem])
     if full_scale is not None and not 0.0 < full_scale < math.inf:
         raise UsageError("operating", ["full_scale: must be greater than zero"])
-    x_values, outputs, digest = _read_columns(path, str(input or time), output)
+    x, outputs, digest = _read_columns(path, str(input or time), output)
     try:
         if input is not None:
-            scale = full_scale or float(np.max(np.abs(x_values)))
-            line = model.fit_line(x_values, outputs)
-            quantities = list(
-                _static_quantities(line, x_values, outputs, scale, input_unit, output_unit)
-            )
+            scale = full_scale or float(np.max(np.abs(x)))
+            line = model.fit_line(x, outputs)
+            quantities = list(_static_quantities(line, x, outputs, scale, input_unit, output_unit))
             noise = line.noise, line.dof, line.from_repeats
         else:
             scale = full_scale or 0.0
-            warm_up = model.fit_warm_up(x_values, outputs)
+            warm_up = model.fit_warm_up(x, outputs)
             quantities = list(_warm_up_quantities(warm_up, output_unit))
-            residuals = outputs - _warm_up_curve(warm_up, x_values)
+            residuals = outputs - _warm_up_curve(warm_up, x)
             dof = float(outputs.size - 3)
             noise = math.sqrt(float(residuals @ residuals) / dof), dof, False
     except ValueError as error:
         raise CampaignError(path.name, [str(error)], code="not-evaluable") from error
-    plotted_rows = np.unique(
-        np.linspace(0, x_values.size - 1, min(x_values.size, _MAX_FIGURE_ROWS)).astype(int)
-    )
-    plotted_x = x_values[plotted_rows].tolist()
+    plotted_rows = np.unique(np.linspace(0, x.size - 1, min(x.size, _MAX_FIGURE_ROWS)).astype(int))
+    plotted_x = x[plotted_rows].tolist()
     return OperatingTests(
         file=path.name,
         sha256=digest,
@@ -117,10 +113,9 @@ def operating(
 def _read_columns(path: Path, x_column: str, output: str) -> tuple[Array, Array, str]:
     """Return two columns without incomplete rows, and the SHA-256 of the file."""
     content = read_file(path)
-    columns = read_numbers(path, [x_column, output])
-    table = np.column_stack(
-        [np.asarray(columns[name], dtype=np.float64) for name in (x_column, output)]
-    )
+    names = [x_column, output]
+    columns = read_numbers(path, names)
+    table = np.column_stack([np.asarray(columns[name], dtype=np.float64) for name in names])
     table = table[np.isfinite(table).all(axis=1)]
     if not 0 < len(table) <= _MAX_ROWS:
         raise RecordError(

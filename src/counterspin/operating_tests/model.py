@@ -90,13 +90,11 @@ def fit_line(inputs: Array, outputs: Array) -> Line:
     slope = float(centred_inputs @ outputs) / square_sum
     intercept = float(outputs.mean()) - slope * float(inputs.mean())
     residuals = outputs - intercept - slope * inputs
-    repeat_groups = np.unique(3 * settings + input_directions(inputs), return_inverse=True)[
-        1
-    ].reshape(-1)
-    means = np.bincount(repeat_groups, outputs) / np.bincount(repeat_groups)
+    groups = np.unique(3 * settings + input_directions(inputs), return_inverse=True)[1].reshape(-1)
+    means = np.bincount(groups, outputs) / np.bincount(groups)
     repeat_dof = inputs.size - means.size
     from_repeats = repeat_dof >= _MIN_DOF
-    deviations = outputs - means[repeat_groups] if from_repeats else residuals
+    deviations = outputs - means[groups] if from_repeats else residuals
     dof = float(repeat_dof if from_repeats else inputs.size - 2)
     noise = math.sqrt(float(deviations @ deviations) / dof)
     u_slope = noise / math.sqrt(square_sum)
@@ -128,26 +126,22 @@ def hysteresis_error(line: Line, inputs: Array, outputs: Array) -> OperatingEsti
     """
     settings, directions = group_inputs(inputs), input_directions(inputs)
     setting_count = int(settings.max()) + 1
-    up_counts, down_counts = (
+    n_up, n_down = (
         np.bincount(settings[mask], minlength=setting_count)
         for mask in (directions > 0, directions < 0)
     )
-    common_settings = np.flatnonzero((up_counts > 0) & (down_counts > 0))
+    common_settings = np.flatnonzero((n_up > 0) & (n_down > 0))
     if not common_settings.size:
         return None
     up_mean, down_mean = (
         np.bincount(settings[mask], outputs[mask], minlength=setting_count)[common_settings]
         / counts[common_settings]
-        for mask, counts in ((directions > 0, up_counts), (directions < 0, down_counts))
+        for mask, counts in ((directions > 0, n_up), (directions < 0, n_down))
     )
     differences = (up_mean - down_mean) / line.slope
     worst_index = int(np.argmax(np.abs(differences)))
     setting = common_settings[worst_index]
-    u = (
-        line.noise
-        * math.sqrt(1.0 / up_counts[setting] + 1.0 / down_counts[setting])
-        / abs(line.slope)
-    )
+    u = line.noise * math.sqrt(1.0 / n_up[setting] + 1.0 / n_down[setting]) / abs(line.slope)
     worst_input = float(inputs[np.argmax(settings == setting)])
     return OperatingEstimate(float(differences[worst_index]), u, worst_input)
 

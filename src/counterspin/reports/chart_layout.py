@@ -266,13 +266,11 @@ def _find_extremes(x: Array, y: Array, series_type: str) -> NDArray[np.intp]:
         # A curve with non-monotonic x has no columns.
         return np.arange(x.size)
     span = float(np.ptp(x)) or 1.0
-    column_index = np.minimum(
-        (x - x.min()) / span * _THINNING_COLUMNS, _THINNING_COLUMNS - 1
-    ).astype(int)
+    column = np.minimum((x - x.min()) / span * _THINNING_COLUMNS, _THINNING_COLUMNS - 1).astype(int)
     is_gap = ~np.isfinite(y)
     finite_indices = np.flatnonzero(~is_gap)
-    order = finite_indices[np.lexsort((y[finite_indices], column_index[finite_indices]))]
-    column_starts = np.flatnonzero(np.diff(column_index[order], prepend=-1))
+    order = finite_indices[np.lexsort((y[finite_indices], column[finite_indices]))]
+    column_starts = np.flatnonzero(np.diff(column[order], prepend=-1))
     column_ends = np.append(column_starts[1:], order.size) - 1
     # Keep the first sample of a gap.
     gap_starts = np.flatnonzero(is_gap & ~np.concatenate([[False], is_gap[:-1]]))
@@ -300,11 +298,9 @@ def integer_positions(plot: Plot) -> range:
 
 def spread_points(series: Sequence[PlotSeries]) -> list[PlotSeries]:
     """Shift series of points with equal x sideways, so that they do not overlap."""
-    point_series = [row for row in series if row.kind == "points"]
-    step = min(0.12, 0.7 / max(len(point_series), 1))
-    shifts = iter(
-        step * (index - 0.5 * (len(point_series) - 1)) for index in range(len(point_series))
-    )
+    points = [row for row in series if row.kind == "points"]
+    step = min(0.12, 0.7 / max(len(points), 1))
+    shifts = iter(step * (index - 0.5 * (len(points) - 1)) for index in range(len(points)))
     return [
         replace(row, x=tuple(x + shift for x in row.x))
         if row.kind == "points" and (shift := next(shifts))

@@ -135,16 +135,14 @@ def _clean_svg(text: str, picture: Picture, theme: SvgTheme) -> str:
 
     def clean_tag(tag: re.Match[str]) -> str:
         # Text between tags stays unchanged.
-        tag_text = re.sub(r' transform="rotate\(-?0 [^"]*\)"| font-family: [^;"]*;?', "", tag[0])
-        tag_text = re.sub(
-            r' id="([^"]*)"', lambda match: match[0] if match[1] in referenced_ids else "", tag_text
+        markup = re.sub(r' transform="rotate\(-?0 [^"]*\)"| font-family: [^;"]*;?', "", tag[0])
+        markup = re.sub(
+            r' id="([^"]*)"', lambda match: match[0] if match[1] in referenced_ids else "", markup
         )
-        tag_text = re.sub(
-            r' d="([^"]*)"', lambda match: f' d="{" ".join(match[1].split())}"', tag_text
-        )
-        tag_text = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{id_prefix}-", tag_text)
+        markup = re.sub(r' d="([^"]*)"', lambda match: f' d="{" ".join(match[1].split())}"', markup)
+        markup = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{id_prefix}-", markup)
         return re.sub(
-            r"#01[0-9a-f]{2}fe", lambda match: _css_colour(_COLOUR_NAMES[match[0]], theme), tag_text
+            r"#01[0-9a-f]{2}fe", lambda match: _css_colour(_COLOUR_NAMES[match[0]], theme), markup
         )
 
     text = re.sub(r"<[^>]+>", clean_tag, text)
@@ -184,9 +182,8 @@ _MIN_QUANTISATION_STEPS: Final = 2e4
 
 def is_zoomable(plot: Plot) -> bool:
     """Return whether a plot is zoomable: requested, and with a numeric axis."""
-    return (
-        plot.zoom and not plot.x_names and len({x for series in plot.series for x in series.x}) > 1
-    )
+    x_values = {x for series in plot.series for x in series.x}
+    return plot.zoom and not plot.x_names and len(x_values) > 1
 
 
 def plot_json(plot: Plot) -> str:

@@ -52,7 +52,7 @@ PAPER_COLOURS: Final = {
     "positive": "#b35806",
 }
 
-ColourPalette = Mapping[str, str]
+Palette = Mapping[str, str]
 
 #: Largest opacity of a heat map's cell: text on it keeps a contrast of 4.5 (WCAG 2.1, 1.4.3).
 _MAX_OPACITY: Final = 0.6
@@ -82,7 +82,7 @@ def _import_matplotlib() -> ModuleType:
 
 
 @contextmanager
-def drawing_parameters(palette: ColourPalette) -> Iterator[None]:
+def drawing_parameters(palette: Palette) -> Iterator[None]:
     """Set matplotlib's parameters temporarily, for drawing and writing figures.
 
     The same picture gives the same file, because ids are not random.
@@ -135,9 +135,7 @@ def drawing_parameters(palette: ColourPalette) -> Iterator[None]:
         yield
 
 
-def draw_pictures(
-    pictures: Sequence[Picture], palette: ColourPalette, *, show_titles: bool
-) -> Figure:
+def draw_pictures(pictures: Sequence[Picture], palette: Palette, *, show_titles: bool) -> Figure:
     """Draw stacked pictures, within `drawing_parameters`.
 
     show_titles: True to draw each title above its picture, if nothing else shows it.
@@ -161,7 +159,7 @@ def draw_on_axes(axes: Any, picture: Picture) -> None:
 
 
 def _draw_picture(
-    axes: Any, picture: Picture, palette: ColourPalette, title: str, next_picture: Picture | None
+    axes: Any, picture: Picture, palette: Palette, title: str, next_picture: Picture | None
 ) -> Margins:
     match picture:
         case Plot():
@@ -175,7 +173,7 @@ def _draw_picture(
 
 
 def _draw_plot(
-    axes: Any, plot: Plot, palette: ColourPalette, title: str, next_picture: Picture | None
+    axes: Any, plot: Plot, palette: Palette, title: str, next_picture: Picture | None
 ) -> Margins:
     integer_ticks = integer_positions(plot)
     drawn_series = spread_points(plot.series) if integer_ticks or plot.x_names else plot.series
@@ -287,7 +285,7 @@ def _draw_series(
             draw_dots(axes, x[is_isolated], y[is_isolated], 2.5, color=colour, zorder=2.1)
 
 
-def _draw_bars(axes: Any, bars: Bars, palette: ColourPalette, title: str) -> Margins:
+def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
     positions = range(len(bars.labels))
     values = np.asarray(bars.values, dtype=float)
     colours = [palette[f"series-{k + 1}"] for k in bars.colours or (0,) * len(bars.labels)]
@@ -339,7 +337,7 @@ def _draw_bars(axes: Any, bars: Bars, palette: ColourPalette, title: str) -> Mar
     return compute_margins(axes, 6.0 + row_height * max(len(labels), 1), right=2.0)
 
 
-def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: ColourPalette, title: str) -> Margins:
+def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: Palette, title: str) -> Margins:
     from matplotlib.collections import PolyCollection
 
     n_labels = len(heat_map.labels)
@@ -347,9 +345,8 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: ColourPalette, title: 
     rows, columns = (index_grid.ravel() for index_grid in np.indices((n_labels, n_labels)))
     corner_offsets = np.array([[0.03, 0.04], [0.97, 0.04], [0.97, 0.96], [0.03, 0.96]])
     cells = np.stack([columns, rows], axis=1)[:, None, :] + corner_offsets
-    axes.add_collection(
-        PolyCollection(cells, facecolors=_cell_colours(values, palette), linewidths=0.0)
-    )
+    colours = _cell_colours(values, palette)
+    axes.add_collection(PolyCollection(cells, facecolors=colours, linewidths=0.0))
     labels = [shorten_text(label, 130.0) for label in heat_map.labels]
     label_width = max(map(text_width, labels), default=0.0)
     cell_width = min(46.0, (DRAWING_WIDTH - label_width - 12.0) / max(n_labels, 1))
@@ -379,7 +376,7 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: ColourPalette, title: 
     return compute_margins(axes, top_margin + height + 2.0, top=top_margin, right=right_margin)
 
 
-def _cell_colours(values: Array, palette: ColourPalette) -> Array:
+def _cell_colours(values: Array, palette: Palette) -> Array:
     """Return colour and opacity of each cell, shape (n**2, 4); the diagonal is grey."""
     from matplotlib.colors import to_rgba
 

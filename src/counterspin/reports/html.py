@@ -76,9 +76,8 @@ def render_notebook_cell(blocks: Sequence[Block]) -> str:
     """Return blocks as HTML for a notebook cell, in the colours and font of its page."""
     content = _PageBuilder().make_items(blocks, "Result")
     style = Markup(_read_asset("cell.css").strip())
-    return (
-        _template_environment().get_template("cell.html.jinja").render(content=content, style=style)
-    )
+    template = _template_environment().get_template("cell.html.jinja")
+    return template.render(content=content, style=style)
 
 
 def render_fragment(blocks: Sequence[Block], *, title: str) -> str:

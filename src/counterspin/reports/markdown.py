@@ -75,12 +75,9 @@ def _format_block(block: Heading | Paragraph | Table) -> str:
 
 def _quote_style(block: Block) -> str | None:
     """Return the style of a block quote, or None."""
-    is_quoted = isinstance(block, Paragraph) and block.style in {
-        *VALUE_STYLES,
-        "undetermined",
-        "warning",
-    }
-    return block.style if is_quoted and isinstance(block, Paragraph) else None
+    if isinstance(block, Paragraph) and block.style in {*VALUE_STYLES, "undetermined", "warning"}:
+        return block.style
+    return None
 
 
 def _format_quote(style: str, texts: Sequence[str]) -> str:

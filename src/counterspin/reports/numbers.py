@@ -197,7 +197,7 @@ def _to_decimal(number: float) -> Decimal:
 
 
 def _round_to_steps(number: Decimal, last_digit: int) -> Decimal:
-    """Return the number in steps of 10^place, rounded."""
+    """Return the number in steps of 10^last_digit, rounded."""
     # Convert by an integer: a Decimal such as 2E+1 would lack its zeros.
     return Decimal(int(number.scaleb(-last_digit).to_integral_value(ROUND_HALF_EVEN)))
 

@@ -83,15 +83,11 @@ class Publication:
 
         overwrite: Whether an existing report of this kind may be replaced; other files never are.
         """
-        suffix, file_type = (
-            require_report_format(path),
-            partial(marked_file_type, self.document_type),
-        )
+        suffix = require_report_format(path)
+        file_type = partial(marked_file_type, self.document_type)
         check_writable(path, file_type, overwrite=overwrite)
-        content = self.pdf(issued) if suffix == ".pdf" else self.text(suffix, issued).encode()
-        write_atomically(
-            path, lambda file: file.write_bytes(content), file_type, overwrite=overwrite
-        )
+        data = self.pdf(issued) if suffix == ".pdf" else self.text(suffix, issued).encode()
+        write_atomically(path, lambda file: file.write_bytes(data), file_type, overwrite=overwrite)
 
 
 def make_publication(result: ReportableResult, identifier: str | None = None) -> Publication:
@@ -164,9 +160,8 @@ def short_text(blocks: Sequence[Block]) -> str:
     lines = [line.rstrip() for line in capture.get().rstrip().split("\n")]
     if len(lines) <= MAX_CELL_LINES:
         return "\n".join(lines)
-    return "\n".join(
-        [*lines[: MAX_CELL_LINES - 1], f"... {len(lines) - MAX_CELL_LINES + 1} more lines"]
-    )
+    n_omitted = len(lines) - MAX_CELL_LINES + 1
+    return "\n".join([*lines[: MAX_CELL_LINES - 1], f"... {n_omitted} more lines"])
 
 
 def draw_on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:

@@ -115,10 +115,8 @@ def _draw_hemisphere(axes: Any, sphere: Sphere, sign: float, palette: Mapping[st
         (minus + second_axis, 0.0, -1.1, "center"),
     ):
         axes.text(centre + x, y, text, ha=align, va="center", fontsize=8.0, color=palette["muted"])
-    view_axis = third_axis if sign > 0.0 else minus + third_axis
-    axes.text(
-        centre - 1.2, 1.08, f"seen from {view_axis}", ha="left", va="center", color=palette["ink"]
-    )
+    axis = third_axis if sign > 0.0 else minus + third_axis
+    axes.text(centre - 1.2, 1.08, f"seen from {axis}", ha="left", va="center", color=palette["ink"])
 
 
 def _draw_point(

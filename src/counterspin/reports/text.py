@@ -229,11 +229,9 @@ def _make_tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableTy
             show_edge=False,
             header_style="bold",
         )
-        for column_index, width in zip(column_indices, widths, strict=True):
-            justify = block.columns[column_index].align
-            table.add_column(
-                Text(titles[column_index]), justify=justify, width=width, overflow="fold"
-            )
+        for k, width in zip(column_indices, widths, strict=True):
+            justify = block.columns[k].align
+            table.add_column(Text(titles[k]), justify=justify, width=width, overflow="fold")
         for index, row in enumerate(rows):
             style = _STYLES["quiet"] if index in block.quiet_rows else None
             table.add_row(
@@ -252,7 +250,7 @@ def _make_tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableTy
 
 
 def _split_columns(
-    block: Table, rows: list[list[str]], available_width: int
+    block: Table, rows: list[list[str]], max_width: int
 ) -> Iterator[tuple[list[int], Sequence[int | None]]]:
     """Yield the columns of each table that fits the terminal, and their widths."""
     full_widths, wrapped_widths, min_widths = [], [], []
@@ -271,7 +269,7 @@ def _split_columns(
         min_widths.append(wrapped_width if column.wraps else max(title_width, cell_width))
     all_indices = list(range(len(block.columns)))
     for widths in (wrapped_widths, min_widths):
-        if (spare_width := _spare_width(widths, all_indices, available_width)) >= 0:
+        if (spare_width := _spare_width(widths, all_indices, max_width)) >= 0:
             yield all_indices, _distribute_width(widths, full_widths, all_indices, spare_width)
             return
     # A column without a title belongs to the previous name.
@@ -282,15 +280,12 @@ def _split_columns(
     for index in all_indices[n_name_columns:]:
         if (
             len(indices) > n_name_columns
-            and _spare_width(min_widths, [*indices, index], available_width) < 0
+            and _spare_width(min_widths, [*indices, index], max_width) < 0
         ):
             yield (
                 indices,
                 _distribute_width(
-                    min_widths,
-                    full_widths,
-                    indices,
-                    _spare_width(min_widths, indices, available_width),
+                    min_widths, full_widths, indices, _spare_width(min_widths, indices, max_width)
                 ),
             )
             indices = all_indices[:n_name_columns]
@@ -298,15 +293,13 @@ def _split_columns(
     yield (
         indices,
         _distribute_width(
-            min_widths, full_widths, indices, _spare_width(min_widths, indices, available_width)
+            min_widths, full_widths, indices, _spare_width(min_widths, indices, max_width)
         ),
     )
 
 
-def _spare_width(widths: Sequence[int], indices: Sequence[int], available_width: int) -> int:
-    return (
-        available_width - sum(widths[index] for index in indices) - _COLUMN_GAP * (len(indices) - 1)
-    )
+def _spare_width(widths: Sequence[int], indices: Sequence[int], max_width: int) -> int:
+    return max_width - sum(widths[index] for index in indices) - _COLUMN_GAP * (len(indices) - 1)
 
 
 def _distribute_width(

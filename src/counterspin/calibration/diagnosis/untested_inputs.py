@@ -112,12 +112,14 @@ def fit_rotated_mountings(views: Sequence[AccelerometerView]) -> tuple[Alternati
             _fit_rotated_mounting(view, relaxed_estimate, groups, quarter_turns)
             for quarter_turns in range(4)
         )
-        for turn_count, (fit, fitted_groups) in enumerate(rotated_fits, 1):
+        for quarter_turns, (fit, fitted_groups) in enumerate(rotated_fits, 1):
             residual_variance = fit.solution.chi2 / max(fit.solution.dof, 1.0)
             residual_variance = max(residual_variance, 1.0) if is_noise_known else residual_variance
             gain = (stated_fit.solution.chi2 - fit.solution.chi2) / residual_variance
             dof = None if is_noise_known else max(fit.solution.dof, 1.0)
-            mountings.append(AlternativeMounting(view, turn_count, fit, gain, dof, fitted_groups))
+            mountings.append(
+                AlternativeMounting(view, quarter_turns, fit, gain, dof, fitted_groups)
+            )
     return tuple(mountings)
 
 
