@@ -381,11 +381,8 @@ def _missing_conditions(
 ) -> Mistakes:
     """Yield missing conditions of the slopes in a model, and slopes that cannot be determined."""
     reference = centrifuge and centrifuge.reference_temperature
-    rows = [
-        row
-        for symbol, row in CONDITION_TERMS.items()
-        if symbol in {*model.terms, *model.considered}
-    ]
+    symbols = {*model.terms, *model.considered}
+    rows = [row for symbol, row in CONDITION_TERMS.items() if symbol in symbols]
     for key in STATED_CONDITIONS:
         condition_keys = (key, "direction") if key == "temperature" else (key,)
         symbol = next((row.symbol for row in rows if row.effect.condition in condition_keys), None)

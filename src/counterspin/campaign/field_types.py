@@ -335,8 +335,7 @@ def check_record_name(name: str) -> str:
         raise InputError(
             (
                 f'"{name}" does not have a supported file type; the name of a record file must '
-                "end in "
-                f"{', '.join(RECORD_FORMATS)}"
+                f"end in {', '.join(RECORD_FORMATS)}"
             ),
             "wrong-file-ending",
         )

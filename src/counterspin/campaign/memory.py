@@ -194,9 +194,7 @@ def attach_records(
         if isinstance(record, Path | str):
             run["record"] = _relative_name(Path(record).absolute(), folder)
         else:
-            used_names = [
-                run_table.get("record") for run_table in runs if isinstance(run_table, Mapping)
-            ]
+            used_names = [run.get("record") for run in runs if isinstance(run, Mapping)]
             stated_name = run.get("record")
             if not (isinstance(stated_name, str) and stated_name.lower().endswith(tuple(WRITERS))):
                 run["record"] = unused_file_name(name, ".parquet", used_names)

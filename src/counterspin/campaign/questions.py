@@ -92,12 +92,11 @@ def _question_removed_gravity(campaign: Campaign) -> Iterator[Question]:
         yield Question(
             code="removed-gravity",
             subject=f"{name}.K_I",
-            text=f"{name} is upright in {run_text}, so its {accelerometer.observable} contains "
-            "the part of gravity that the navigation computer does not remove. Gravity is known "
-            "only to "
-            f"within {campaign.gravity.u:.2g} m/s^2. counterspin assumes that the computer "
-            "removes gravity exactly; if the computer removes a fixed value, state this value "
-            "as removed_gravity in [site].",
+            text=f"{name} is upright in {run_text}, so its {accelerometer.observable} contains the "
+            "part of gravity that the navigation computer does not remove. Gravity is known only "
+            f"to within {campaign.gravity.u:.2g} m/s^2. counterspin assumes that the computer "
+            "removes gravity exactly; if the computer removes a fixed value, state this value as "
+            "removed_gravity in [site].",
         )
 
 

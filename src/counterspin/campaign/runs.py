@@ -171,10 +171,9 @@ class Run(SettingsSection):
         applies_to=READINGS,
     )
     file: RecordFile | None = key_field(
-        "path of the record file, relative to the campaign folder "
-        f"({', '.join(RECORD_FORMATS)}). On an arm, the reading is the mean over complete "
-        "revolutions; at rest, it is the mean of the record. The uncertainty of the reading is "
-        "computed from the noise",
+        f"path of the record file, relative to the campaign folder ({', '.join(RECORD_FORMATS)}). "
+        "On an arm, the reading is the mean over complete revolutions; at rest, it is the mean of "
+        "the record. The uncertainty of the reading is computed from the noise",
         "run1.csv",
         None,
         absent="`reading`",

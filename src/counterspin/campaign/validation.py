@@ -263,10 +263,8 @@ def _deduplicate(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
             *requirements, last_requirement = (
                 _PLAIN_MESSAGES[error["type"]].partition("must be ")[2] for error in errors
             )
-            yield (
-                path,
-                {"type": "", "msg": f"must be {', '.join(requirements)} or {last_requirement}"},
-            )
+            text = f"must be {', '.join(requirements)} or {last_requirement}"
+            yield path, {"type": "", "msg": text}
 
 
 def _is_type_name(part: str | int) -> bool:

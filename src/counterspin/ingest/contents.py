@@ -137,14 +137,12 @@ def read_files(
             groups = [read_contents(file, sensor=sensor, group=run) for run in contents.runs]
             all_contents += groups or [contents]
         else:
-            selected_sheets = (
+            used_sheets = (
                 sheets
                 if sheet_answer == ALL_SHEETS
                 else (sheet_answer if sheet_answer in sheets else sheets[0],)
             )
-            all_contents += [
-                read_contents(file, sheet, sheets, sensor) for sheet in selected_sheets
-            ]
+            all_contents += [read_contents(file, sheet, sheets, sensor) for sheet in used_sheets]
         if progress is not None:
             progress(n_done, len(files))
     return tuple(all_contents)

@@ -77,18 +77,16 @@ class Draft(AnsweredDraft):
         folder: Folder of the campaign.
         """
         common_guess, answers = self.common_guess, self.complete()
-        sense, resolved_folder = answers["sense"], folder.resolve()
+        sense, folder = answers["sense"], folder.resolve()
         document: dict[str, Any] = {
             "schema": 1,
-            "campaign": {"title": resolved_folder.name},
+            "campaign": {"title": folder.name},
             "site": {"gravity": answers["gravity"], "latitude": answers["latitude"]},
             "centrifuge": {"radius": answers["radius"]},
             "records": _make_records(common_guess, answers, sense),
             "accelerometers": _make_accelerometers(common_guess),
         }
-        return document | {
-            "runs": list(_make_runs(self.guesses, answers, sense, resolved_folder, []))
-        }
+        return document | {"runs": list(_make_runs(self.guesses, answers, sense, folder, []))}
 
 
 def make_turntable_draft(

@@ -70,9 +70,8 @@ def _describe_file(contents: FileContents) -> Iterator[str]:
             f"  the last {len(contents.footer)} lines were ignored because they are not data "
             f"rows: {footer_text}"
         )
-    yield from (
-        f"  part of the file could not be read: {reason}" for reason in contents.unread_reasons
-    )
+    for reason in contents.unread_reasons:
+        yield f"  part of the file could not be read: {reason}"
     yield from (f"  {remark}" for remark in contents.remarks)
 
 
@@ -213,9 +212,8 @@ def make_sensor_question(all_contents: Sequence[FileContents]) -> FileQuestion |
         if contents.is_mixed and contents.sensors is not None:
             column, values = contents.sensors
             text = (
-                f"Column '{column}' of {contents.path.name} has {len(values)} different "
-                "values, so the rows come from several sensors or runs. Which rows should be "
-                "used?"
+                f"Column '{column}' of {contents.path.name} has {len(values)} different values, so "
+                "the rows come from several sensors or runs. Which rows should be used?"
             )
             return FileQuestion("select", text, values[0], values)
     return None

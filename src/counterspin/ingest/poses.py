@@ -71,7 +71,7 @@ class PosesDraft(AnsweredDraft):
 
         folder: Folder of the campaign.
         """
-        answers, resolved_folder = self.complete(), folder.resolve()
+        answers, folder = self.complete(), folder.resolve()
         columns = [answers[axis] for axis in AXES]
         if len(set(columns)) < len(columns):
             text = (
@@ -97,15 +97,15 @@ class PosesDraft(AnsweredDraft):
             accelerometers[name] = table
         return {
             "schema": 1,
-            "campaign": {"title": resolved_folder.name},
+            "campaign": {"title": folder.name},
             "site": {"gravity": answers["gravity"], "latitude": answers["latitude"]},
             "accelerometers": accelerometers,
             "triad": {"accelerometers": list(AXES)},
             **_make_model(self.triad),
         } | (
-            self._make_table_keys(columns, answers, resolved_folder)
+            self._make_table_keys(columns, answers, folder)
             if is_table
-            else self._make_record_keys(answers, resolved_folder)
+            else self._make_record_keys(answers, folder)
         )
 
     def _make_table_keys(

@@ -100,7 +100,7 @@ class ReadingsDraft(AnsweredDraft):
         columns: Key of a reading -> column, except the outputs.
         centrifuge: Section [centrifuge], if there is one.
         """
-        answers, resolved_folder = self.complete(), folder.resolve()
+        answers, folder = self.complete(), folder.resolve()
         groups = [
             [column.name for column in group]
             for group in group_outputs(self.contents, self.roles, answers)
@@ -135,12 +135,12 @@ class ReadingsDraft(AnsweredDraft):
             accelerometers[name] = {**level_axes, "output": output}
         return {
             "schema": 1,
-            "campaign": {"title": resolved_folder.name},
+            "campaign": {"title": folder.name},
             "site": {"gravity": answers["gravity"], "latitude": answers["latitude"]},
             **({"centrifuge": centrifuge} if centrifuge else {}),
             "accelerometers": accelerometers,
             "readings": {
-                "file": relative_path(self.contents.path, resolved_folder),
+                "file": relative_path(self.contents.path, folder),
                 **self.contents.dialect_keys,
                 **({"decimal": ","} if self.contents.decimal == "," else {}),
                 "columns": {**columns, **role_columns},

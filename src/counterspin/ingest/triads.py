@@ -149,9 +149,8 @@ def find_triad(guesses: Sequence[FileGuess], answers: Mapping[str, str]) -> Tria
     guess = guesses[0]
     columns, seconds = _concatenate_files(guesses)
     if "rest" in answers:
-        return _search_triad(
-            columns, seconds, guess, answers, parse_quantity(answers["rest"], "s").value
-        )
+        min_rest = parse_quantity(answers["rest"], "s").value
+        return _search_triad(columns, seconds, guess, answers, min_rest)
     longer, shorter = (_search_triad(columns, seconds, guess, answers, rest) for rest in _MIN_RESTS)
     return shorter if _has_more_poses(shorter, longer) else longer or shorter
 

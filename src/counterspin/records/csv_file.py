@@ -489,8 +489,7 @@ class CsvFile(ColumnFile):
                     if self.delimiter == "," and cell_count == 2 * len(self.names):
                         hint = (
                             " Commas serve both as cell delimiters and as decimal separators; "
-                            "export the file "
-                            "with semicolons or tabs."
+                            "export the file with semicolons or tabs."
                         )
                     raise RecordError(
                         f"{self.path}, line {line_number}: the line has {cell_count} cells, but "

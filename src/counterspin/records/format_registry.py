@@ -80,8 +80,7 @@ _ADVICE_BY_SUFFIX: Final[Mapping[str, str]] = {
     **dict.fromkeys(
         (".bin", ".raw", ".pkl", ".pickle"),
         "the byte layout of this file is unknown; export a text file, such as .csv, from the "
-        "program "
-        "that wrote it.",
+        "program that wrote it.",
     ),
 }
 

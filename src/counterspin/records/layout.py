@@ -320,8 +320,8 @@ def find_rows(
     units = [parse_file_unit(cell) or "" for cell in [*unit_cells, *padding]]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
     filled_cells = [cell for row in rows for cell in row if cell]
-    number_count = sum(is_number(cell, decimal) for cell in filled_cells)
-    text_count = sum(not TIMESTAMP.fullmatch(cell) for cell in filled_cells) - number_count
+    n_numbers = sum(is_number(cell, decimal) for cell in filled_cells)
+    n_texts = sum(not TIMESTAMP.fullmatch(cell) for cell in filled_cells) - n_numbers
     before_rows = table[start][0] - 1
     layout = TableFormat(
         header,
@@ -333,7 +333,7 @@ def find_rows(
         decimal,
         mismatch,
     )
-    return number_count - text_count, layout
+    return n_numbers - n_texts, layout
 
 
 def _contains_row_names(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> bool:

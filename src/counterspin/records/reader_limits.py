@@ -35,18 +35,18 @@ _LIMIT_PROCESS_MEMORY: Final = 0x0000_0100
 _TICKS_PER_SECOND: Final = 10_000_000
 
 
-def processor_seconds(byte_count: int) -> float:
+def processor_seconds(size: int) -> float:
     """Return the processor time to allow for reading a file of a size in bytes, s."""
-    return _READING_SECONDS + byte_count / _BYTES_PER_SECOND
+    return _READING_SECONDS + size / _BYTES_PER_SECOND
 
 
 def waiting_seconds(path: Path) -> float:
     """Return the timeout for reading a file, s."""
     try:
-        byte_count = path.stat().st_size
+        size = path.stat().st_size
     except (OSError, ValueError):
-        byte_count = 0  # the reader reports the error
-    return _WAITING_FACTOR * processor_seconds(byte_count)
+        size = 0  # the reader reports the error
+    return _WAITING_FACTOR * processor_seconds(size)
 
 
 def limit_reading(path: Path) -> None:

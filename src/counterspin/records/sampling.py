@@ -104,11 +104,10 @@ class ValueHolding:
         rows = 1.0 / (1.0 - repeated_fraction)
         if p_repeat > _MAX_CHANCE_FRACTION:
             raise InputError(
-                f"the signal repeats {100.0 * repeated_fraction:.2g} % of its values at "
-                "irregular intervals, which suggests a logging rate above the output rate of the "
-                "sensor. "
-                "The resolution is too coarse to tell repeated samples from samples that happen "
-                "to be equal. Export each sample of the sensor only once",
+                f"the signal repeats {100.0 * repeated_fraction:.2g} % of its values at irregular "
+                "intervals, which suggests a logging rate above the output rate of the sensor. The "
+                "resolution is too coarse to tell repeated samples from samples that happen to be "
+                "equal. Export each sample of the sensor only once",
                 "irregular-time",
             )
         return cls(rows, 0, 0)
@@ -277,10 +276,9 @@ def reconstruct_times(time: Array, restamped_count: int) -> Array:
         if _lacks_rows(segment[last] / step - last, segment.size):
             raise InputError(
                 f"{restamped_count} of {time.size} rows have the same time as the previous row, "
-                "but different values, and samples are missing or excessively delayed, so the "
-                "time cannot be calculated from the row count; export the times of the sensor "
-                "with a finer "
-                "resolution, or, if no sample is missing, give `sampling_rate`",
+                "but different values, and samples are missing or excessively delayed, so the time "
+                "cannot be calculated from the row count; export the times of the sensor with a "
+                "finer resolution, or, if no sample is missing, give `sampling_rate`",
                 "irregular-time",
             )
     delays = [segment - step * np.arange(segment.size) for segment in segments]

@@ -153,9 +153,8 @@ def several_sensors_message(name: str, values: Sequence[str]) -> str:
     """Return a message about a column that distinguishes sensors."""
     example = f'select = {{ column = "{name}", value = "{values[0]}" }}'
     return (
-        f"column '{name}' has {len(values)} different values ({format_names(values, 8)}), so "
-        f"the rows come from several sensors. Select the rows of one sensor: {example} in "
-        "[records]."
+        f"column '{name}' has {len(values)} different values ({format_names(values, 8)}), so the "
+        f"rows come from several sensors. Select the rows of one sensor: {example} in [records]."
     )
 
 

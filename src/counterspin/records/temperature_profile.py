@@ -70,8 +70,10 @@ def _compute_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tupl
             raise RecordError(
                 f"{file.path}, {row_location}: the time is infinite.", code="value-out-of-range"
             )
-        minimum, maximum = OPERATING_TEMPERATURES
-        implausible_rows = np.flatnonzero((temperatures < minimum) | (temperatures > maximum))
+        min_temperature, max_temperature = OPERATING_TEMPERATURES
+        implausible_rows = np.flatnonzero(
+            (temperatures < min_temperature) | (temperatures > max_temperature)
+        )
         if len(implausible_rows):
             temperature = float(temperatures[implausible_rows[0]])
             row_location = file.locate_row(rows + int(implausible_rows[0]))
