@@ -178,12 +178,12 @@ def _positive_roots(polynomial: Array) -> Array:
     intervals[0], intervals[-1] = 0.0, _MAX_FORCE
     intervals[1:-1] = np.minimum(_positive_roots(_derivative(polynomial)), _MAX_FORCE)
     low, high = intervals[:-1], intervals[1:]
-    broadcast = polynomial[:, None]
-    low_is_positive, high_is_positive = (_evaluate(broadcast, end) > 0.0 for end in (low, high))
+    coefficients = polynomial[:, None]
+    low_is_positive, high_is_positive = (_evaluate(coefficients, end) > 0.0 for end in (low, high))
     has_root = low_is_positive != high_is_positive
     root = np.where(has_root, 0.5 * (low + high), np.inf)
     for _ in range(_MAX_ITERATIONS if has_root.any() else 0):
-        root_is_positive = _evaluate(broadcast, np.where(has_root, root, 0.0)) > 0.0
+        root_is_positive = _evaluate(coefficients, np.where(has_root, root, 0.0)) > 0.0
         is_below_root = root_is_positive == low_is_positive
         low, high = np.where(is_below_root, root, low), np.where(is_below_root, high, root)
         midpoint = np.where(has_root, 0.5 * (low + high), np.inf)

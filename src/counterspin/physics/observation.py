@@ -269,10 +269,12 @@ class _Integrals:
         if self._panels.nodes.size > _MAX_NODES:
             return self._panels.series(_integrands(effects, self._motion, axes, attitude), order)
         key = (axes.matrix.tobytes(), attitude.tobytes(), order)
-        missing = [effect for effect in effects if (*key, effect) not in self._cache]
-        series = self._panels.series(_integrands(missing, self._motion, axes, attitude), order)
-        self._cache |= {(*key, effect): row for effect, row in zip(missing, series, strict=True)}
-        if len(missing) == len(effects):
+        new_effects = [effect for effect in effects if (*key, effect) not in self._cache]
+        series = self._panels.series(_integrands(new_effects, self._motion, axes, attitude), order)
+        self._cache |= {
+            (*key, effect): row for effect, row in zip(new_effects, series, strict=True)
+        }
+        if len(new_effects) == len(effects):
             return series
         return np.stack([self._cache[*key, effect] for effect in effects])
 

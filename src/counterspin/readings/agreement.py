@@ -66,16 +66,11 @@ def _compare_motion(fit: JointFit, motion: str) -> MethodFit:
     other_solution = solve_blocks(other_blocks, model)
     # The estimate from all data is efficient, so that the variances subtract (Hausman). Considered
     # terms shift both estimates, and the shift by the difference.
-    other_variances, variances = (
-        np.diag(other_solution.weighted_covariance),
-        np.diag(solution.weighted_covariance),
-    )
-    considered_shift = (
-        other_solution.sensitivity_considered - solution.sensitivity_considered
-    ) * solution.considered_sd
-    shift_variance = np.maximum(other_variances - variances, 0.0) + np.sum(
-        considered_shift**2, axis=1
-    )
+    other_variance = np.diag(other_solution.weighted_covariance)
+    variance = np.diag(solution.weighted_covariance)
+    sensitivity_shift = other_solution.sensitivity_considered - solution.sensitivity_considered
+    considered_variance = np.sum((sensitivity_shift * solution.considered_sd) ** 2, axis=1)
+    shift_variance = np.maximum(other_variance - variance, 0.0) + considered_variance
     if solution.covariance_undetected is not None:
         shift_variance = shift_variance + np.diag(solution.covariance_undetected)
     chi2, dof = _prediction_chi2(method_fit.blocks, other_blocks, model)
@@ -84,7 +79,7 @@ def _compare_motion(fit: JointFit, motion: str) -> MethodFit:
         other_solution=other_solution,
         shift=other_solution.estimate - solution.estimate,
         u_shift=np.sqrt(
-            np.where(shift_variance > _ROUNDING * other_variances, shift_variance, np.nan)
+            np.where(shift_variance > _ROUNDING * other_variance, shift_variance, np.nan)
         ),
         chi2=chi2,
         dof=dof,
@@ -113,7 +108,6 @@ def _prediction_chi2(
     )
     prediction_sd = np.append(prediction_sd, np.zeros(innovation.size - prediction_sd.size))
     is_predicted = prediction_sd < _MAX_PREDICTION_SD
-    standardised_innovations = (directions.T @ innovation)[is_predicted] / np.sqrt(
-        1.0 + prediction_sd[is_predicted] ** 2
-    )
-    return float(standardised_innovations @ standardised_innovations), int(is_predicted.sum())
+    innovation_sd = np.sqrt(1.0 + prediction_sd[is_predicted] ** 2)
+    z = (directions.T @ innovation)[is_predicted] / innovation_sd
+    return float(z @ z), int(is_predicted.sum())

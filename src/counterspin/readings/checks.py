@@ -215,9 +215,7 @@ def find_patterns(fit: JointFit, groups: Sequence[FittedReadings]) -> Iterator[t
 def pattern_columns(fit: JointFit, group: ResidualGroup) -> tuple[Alternative, ...]:
     """Return the candidate patterns of the residuals of readings or poses."""
     readings = group.readings
-    has_prior = {
-        (term.owner, term.symbol): math.isfinite(term.prior[1]) for term in fit.model.unknowns
-    }
+    has_prior = {(u.owner, u.symbol): math.isfinite(u.prior[1]) for u in fit.model.unknowns}
     if readings.triad:
         stated_keys = {key for key, is_stated in has_prior.items() if is_stated}
         return tuple(load_name(POSE_CANDIDATES)(readings, group.index, fit, has_prior, stated_keys))
@@ -236,9 +234,7 @@ def residual_group(group: FittedReadings, index: int) -> ResidualGroup:
     index: Index of the group among the observations of the fit.
     """
     readings, is_estimated = group.readings, not group.has_external_noise
-    outlier_indices = tuple(
-        sorted({index for outlier in group.outliers() for index in outlier.indices})
-    )
+    outlier_indices = tuple(sorted({i for outlier in group.outliers() for i in outlier.indices}))
     return ResidualGroup(
         readings,
         index,
@@ -266,14 +262,9 @@ def _pattern_finding(
     if best.kind == TERM:
         alternative_terms = alternative_terms[1:]
     if best.kind == WAVE:
-        alternatives_text = (
-            f", or {' or '.join(alternative_terms)} in the accelerometer,"
-            if alternative_terms
-            else ""
-        )
-        text += (
-            f" A head error that varies with the angle{alternatives_text} would have this effect."
-        )
+        clause = " or ".join(alternative_terms)
+        clause = f", or {clause} in the accelerometer," if clause else ""
+        text += f" A head error that varies with the angle{clause} would have this effect."
     elif alternative_terms:
         text += f" {' or '.join(alternative_terms)} would have the same effect."
     clauses = dict.fromkeys(
@@ -365,10 +356,8 @@ def _count_readings(outliers: Sequence[OutlyingReadings]) -> int:
 
 def _count_positions(outliers: Sequence[OutlyingReadings]) -> int:
     """Count the outlying positions; a reading within an outlying position does not count."""
-    index_sets = [set(outlier.indices) for outlier in outliers]
-    return sum(
-        1 for outlier in index_sets if not any(outlier < superset for superset in index_sets)
-    )
+    sets = [set(outlier.indices) for outlier in outliers]
+    return sum(not any(indices < superset for superset in sets) for indices in sets)
 
 
 def _outlier_finding(group: FittedReadings, name: str, outlier: OutlyingReadings) -> Finding:
@@ -439,9 +428,7 @@ def overstated_noise_remarks(views: Sequence[AccelerometerView]) -> Iterator[str
         if p >= CHI_SQUARE_SIGNIFICANCE / len(stated_groups) or ratio * _MAX_NOISE_RATIO > 1.0:
             continue
         u = median(group.sigma)
-        scatter_text, stated_text = (
-            f"{format_number(1e6 * noise, 2)} ug" for noise in (ratio * u, u)
-        )
+        scatter_text, stated_text = (f"{format_number(1e6 * sd, 2)} ug" for sd in (ratio * u, u))
         name = TRIAD if group.readings.triad else group.readings.accelerometer
         yield (
             f"{name}: the {group.label} scatter by {scatter_text}, {format_number(ratio, 2)} "

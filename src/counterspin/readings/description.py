@@ -88,11 +88,9 @@ def _reading_entries(
         (raw, ("runs", index)) for index, raw in reader.sections["indexed_runs"] if is_reading(raw)
     ]
     if "readings" in reader.raw:
-        outputs = reader.accelerometers.outputs
-        outputs_by_name = {name: outputs.get(name) for name in reader.accelerometers.raw}
-        runs += read_table(
-            reader.raw, reader.file.parent, outputs_by_name, reader.problems, checksums
-        )
+        raw, folder, accelerometers = reader.raw, reader.file.parent, reader.accelerometers
+        outputs = {name: accelerometers.outputs.get(name) for name in accelerometers.raw}
+        runs += read_table(raw, folder, outputs, reader.problems, checksums)
     return runs
 
 
@@ -119,15 +117,12 @@ def _resolve_triad(
     default_priors: Mapping[str, Any] | None,
 ) -> Triad | None:
     """Return the triad with its poses; None without a triad."""
-    section = reader.raw.get("triad")
+    section, folder, problems = reader.raw.get("triad"), reader.file.parent, reader.problems
     if section is None and not pose_entries:
         return None
     if not is_installed(TRIAD):
-        reader.problems.add(
-            ("triad",), "this installation does not support triads", "missing-package"
-        )
+        problems.add(("triad",), "this installation does not support triads", "missing-package")
         return None
-    folder, problems = reader.file.parent, reader.problems
     resolve = load_name(TRIAD)
     triad = resolve(
         section,

@@ -201,18 +201,12 @@ def resolve_readings(
         if readings is None:
             readings = _resolve_run(raw, path, mountings, outputs, folder, problems, gravity)
             similar_indices = indices_by_pattern.pop(patterns[index], []) if readings else []
-            similar_indices = [
-                similar_index for similar_index in similar_indices if similar_index > index
-            ]
+            similar_indices = [i for i in similar_indices if i > index]
             if similar_indices:
-                rows = [runs[similar_index][0] for similar_index in similar_indices]
+                rows = [runs[i][0] for i in similar_indices]
                 row_readings = convert_rows(rows, readings, mountings, outputs, gravity)
                 pairs = zip(similar_indices, row_readings, strict=True)
-                converted_readings |= {
-                    similar_index: member_readings
-                    for similar_index, member_readings in pairs
-                    if member_readings is not None
-                }
+                converted_readings |= {i: row for i, row in pairs if row is not None}
         yield path, [_set_duration(reading, turns) for reading in readings]
 
 
@@ -272,10 +266,8 @@ def _accelerometer_readings(
         if name in names:
             yield name, texts if isinstance(texts, list) else [texts], value_path
         elif names:
-            hint = suggest_name(name, names)
-            problems.add(
-                value_path, f'no accelerometer is named "{name}"{hint}', "unknown-accelerometer"
-            )
+            message = f'no accelerometer is named "{name}"' + suggest_name(name, names)
+            problems.add(value_path, message, "unknown-accelerometer")
 
 
 def _make_reading(run: Run, name: str, parsed_value: _ParsedValue, axes: Mounting) -> Reading:
@@ -365,10 +357,10 @@ def _parse_value(
         unit, sensitivity, zero = output.unit, output.sensitivity, output.zero
     gravity_in_unit = gravity if output is None else None
     texts = [
-        f"0 {written_value.removeprefix(BLANK) or unit}"
-        if isinstance(written_value, str) and written_value.startswith(BLANK)
-        else written_value
-        for written_value in repeats
+        f"0 {text.removeprefix(BLANK) or unit}"
+        if isinstance(text, str) and text.startswith(BLANK)
+        else text
+        for text in repeats
     ]
     quantities = [parse_quantity(text, unit, gravity=gravity_in_unit) for text in texts]
     values = (np.array([quantity.value for quantity in quantities]) - zero) / sensitivity
@@ -384,8 +376,8 @@ def _parse_value(
     last_digit_size = 0.0
     if not math.isnan(mean):
         last_digit_size = min(
-            parse_quantity(last_digit_step(written_value), unit, gravity=gravity_in_unit).value
-            for written_value in texts
+            parse_quantity(last_digit_step(text), unit, gravity=gravity_in_unit).value
+            for text in texts
         )
     return _ParsedValue(mean, None, len(u), scatter, in_si, last_digit_size / abs(sensitivity))
 

@@ -17,7 +17,7 @@ from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.fit import JointFit, solve_blocks
-from counterspin.inference.joint.unknowns import Unknown, Unknowns
+from counterspin.inference.joint.unknowns import Observation, Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import Noise
 from counterspin.physics.terms import HEAD_HARMONICS
@@ -76,11 +76,10 @@ def solve_readings(
     first_fit = None
     for group in readings:
         if candidates := group.default_candidates(model):
-            first_fit = _solve_or_constrain(
-                readings, model.with_default_priors(candidates), records
-            )
-            undetermined_terms = group.find_undetermined(first_fit.fit, model, candidates)
-            model = model.with_default_priors(undetermined_terms)
+            default_model = model.with_default_priors(candidates)
+            first_fit = _solve_or_constrain(readings, default_model, records)
+            unknowns = group.find_undetermined(first_fit.fit, model, candidates)
+            model = model.with_default_priors(unknowns)
             break
     solved = _solve_or_constrain(readings, model, records, first_fit)
     return replace(solved, groups=tuple(group.evaluate(solved.fit) for group in solved.groups))
@@ -140,16 +139,13 @@ def _linearization_point(
     point: Array = prior_means + np.clip(
         np.where(u < limits, estimate - prior_means, 0.0), -max_deviation, max_deviation
     )
-    pose_indices_with_prior = [index for index in pose_indices if np.isfinite(u[index])]
-    if (u < limits)[pose_indices_with_prior].all():
+    indices = [index for index in pose_indices if np.isfinite(u[index])]
+    if (u < limits)[indices].all():
         return point
-    scale = limits[pose_indices_with_prior]
-    normalised = np.eye(len(pose_indices_with_prior)) + solution.covariance[
-        np.ix_(pose_indices_with_prior, pose_indices_with_prior)
-    ] / np.outer(scale, scale)
-    point[pose_indices_with_prior] = prior_means[pose_indices_with_prior] + scale * np.linalg.solve(
-        normalised, (estimate - prior_means)[pose_indices_with_prior] / scale
-    )
+    scale, deviation = limits[indices], (estimate - prior_means)[indices]
+    covariance = solution.covariance[np.ix_(indices, indices)]
+    normalised = np.eye(len(indices)) + covariance / np.outer(scale, scale)
+    point[indices] = prior_means[indices] + scale * np.linalg.solve(normalised, deviation / scale)
     return point
 
 
@@ -172,9 +168,8 @@ def _constrained_models(readings: Sequence[ReadingGroup], model: Unknowns) -> It
                 return unknown
             return replace(unknown, prior=(unknown.prior[0], _CONSTRAINT_FACTOR * unknown.prior[1]))
 
-        yield Unknowns(
-            tuple(map(constrain, model.unknowns)), tuple(map(constrain, model.considered))
-        )
+        unknowns, considered = map(constrain, model.unknowns), map(constrain, model.considered)
+        yield Unknowns(tuple(unknowns), tuple(considered))
 
 
 def _solve(
@@ -308,30 +303,21 @@ def _joint_fit(
     records: JointFit | None, weighted_groups: Sequence[LinearReadings], model: Unknowns
 ) -> JointFit:
     """Return the joint fit of readings with given noise and of the records of another fit."""
-    reading_blocks, observations = (
-        tuple(part.whitened_block() for part in weighted_groups),
-        tuple(weighted_groups),
-    )
-    if records is None:
-        return JointFit(
-            model, solve_blocks(reading_blocks, model), observations, reading_blocks, {}
-        )
-    blocks = (*records.blocks[: len(records.design_blocks)], *reading_blocks)
-    return JointFit(
-        model, solve_blocks(blocks, model), (*records.design_blocks, *observations), blocks, {}
-    )
+    blocks = tuple(group.whitened_block() for group in weighted_groups)
+    observations: tuple[Observation, ...] = tuple(weighted_groups)
+    if records is not None:
+        blocks = (*records.blocks[: len(records.design_blocks)], *blocks)
+        observations = (*records.design_blocks, *observations)
+    return JointFit(model, solve_blocks(blocks, model), observations, blocks, {})
 
 
 def _worst_reading(
     readings: Sequence[ReadingGroup], records: JointFit | None, model: Unknowns
 ) -> str:
     """Return the name of the reading with the largest residual in a linear fit at the priors."""
-    prior_means = np.array(
-        [parameter.prior_mean for parameter in (*model.unknowns, *model.considered)]
-    )
-    linear_groups = [
-        group.linearize(model, prior_means, None).with_noise(1.0) for group in readings
-    ]
+    unknowns = (*model.unknowns, *model.considered)
+    means = np.array([unknown.prior_mean for unknown in unknowns])
+    linear_groups = [group.linearize(model, means, None).with_noise(1.0) for group in readings]
     solution = _joint_fit(records, linear_groups, model).solution
     worst_name, max_deviation = "", 0.0
     for group, linear_group in zip(readings, linear_groups, strict=True):
@@ -372,12 +358,8 @@ def _update_noise(
     # The head's variance is known; each reading counts with the noise share of its variance.
     noise_share = linear_group.noise_share
     residuals = linear_group.residuals(solution, model) / linear_group.sigma
-    sum_of_squares = (
-        float(noise_share @ residuals**2) + float(group.scatter.sum()) / previous_noise**2
-    )
-    sd = previous_noise * math.sqrt(
-        sum_of_squares / (float(noise_share @ complements) + repeat_dof)
-    )
+    squares = float(noise_share @ residuals**2) + float(group.scatter.sum()) / previous_noise**2
+    sd = previous_noise * math.sqrt(squares / (float(noise_share @ complements) + repeat_dof))
     if repeat_dof < MIN_DOF:
         sd = max(sd, _MIN_NOISE_TO_HEAD * float(np.sqrt(np.mean(linear_group.other_sd**2))))
     # With default priors, a fit may follow noiseless readings to the last digit.

@@ -163,10 +163,8 @@ class FittedReadings:
         if self.noise_dof < MIN_DOF:
             return []
         positions = [*self.positions, *self.single_readings]
-        z, significance = (
-            [position.studentized for position in positions],
-            _POSITION_SIGNIFICANCE / len(positions),
-        )
+        z = [position.studentized for position in positions]
+        significance = _POSITION_SIGNIFICANCE / len(positions)
         outliers: list[OutlyingReadings] = []
         z_by_index: dict[int, float] = {}
         # The tails of the test distributions are not below those of the normal distribution.
@@ -198,9 +196,8 @@ class FittedReadings:
         for position in self.positions:
             indices = list(position.indices)
             position_dof += len(indices) - 1.0
-            position_squares += float(
-                np.sum((normalized[indices] - normalized[indices].mean()) ** 2)
-            )
+            members = normalized[indices]
+            position_squares += float(np.sum((members - members.mean()) ** 2))
         remaining_dof = self.residual_dof - position_dof
         if (
             self.has_external_noise

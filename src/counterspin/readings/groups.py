@@ -31,9 +31,8 @@ def numbered_groups(
     assumed_temperatures = dict(assumed_reading_temperatures(campaign, readings))
     indices_by_group: dict[tuple[str, str, bool], list[int]] = {}
     for index, reading in enumerate(readings):
-        indices_by_group.setdefault(
-            (reading.accelerometer, reading.motion, reading.u is None), []
-        ).append(index)
+        key = (reading.accelerometer, reading.motion, reading.u is None)
+        indices_by_group.setdefault(key, []).append(index)
     return [
         (
             _make_group(

@@ -179,8 +179,8 @@ def estimate_with_readings(
     readings, mean_records = average_records(campaign)
     triad = make_triad(campaign)
     groups = [*group_readings(campaign, readings), *(triad.groups() if triad else ())]
-    record_estimate, fitted_groups = estimate_with_groups(record_estimate, model, groups)
-    return record_estimate, ReadingsAndPoses(fitted_groups, mean_records, triad)
+    joint_estimate, fitted_groups = estimate_with_groups(record_estimate, model, groups)
+    return joint_estimate, ReadingsAndPoses(fitted_groups, mean_records, triad)
 
 
 def make_triad(campaign: Campaign) -> TriadData | None:
@@ -210,11 +210,9 @@ def reading_results(
     group = fitted_group.readings
     assert isinstance(group, Readings)
     stations = group.stations
-    columns = (stations.axes, stations.rate, stations.amplitude, group.value)
-    row_values = (
-        column.tolist() for column in (*columns, fitted_group.sigma, fitted_group.residuals)
-    )
-    rows = zip(group.names, group.mountings, fitted_group.single_readings, *row_values, strict=True)
+    arrays = (stations.axes, stations.rate, stations.amplitude, group.value)
+    columns = (array.tolist() for array in (*arrays, fitted_group.sigma, fitted_group.residuals))
+    rows = zip(group.names, group.mountings, fitted_group.single_readings, *columns, strict=True)
     return [
         ReadingResult(
             name=name,
@@ -227,12 +225,10 @@ def reading_results(
             value=value,
             u=u,
             residual=residual,
-            z=None
-            if math.isnan(residuals_of_reading.standardized)
-            else residuals_of_reading.standardized,
+            z=None if math.isnan(position.standardized) else position.standardized,
             **_record_fields(means.get((group.accelerometer, name))),
         )
-        for name, mounting, residuals_of_reading, axes, rate, amplitude, value, u, residual in rows
+        for name, mounting, position, axes, rate, amplitude, value, u, residual in rows
     ]
 
 
@@ -269,9 +265,8 @@ def _check_reading_count(campaign: Campaign, model: Unknowns) -> None:
         if name in pose_accelerometers:
             continue
         count = sum(reading.accelerometer == name for reading in campaign.readings)
-        free_symbols = [
-            u.symbol for u in model.unknowns if u.owner == name and math.isinf(u.prior[1])
-        ]
+        own_unknowns = [unknown for unknown in model.unknowns if unknown.owner == name]
+        free_symbols = [u.symbol for u in own_unknowns if math.isinf(u.prior[1])]
         if count < len(free_symbols):
             count_text = f"{count} readings" if count != 1 else "1 reading"
             raise NotIdentifiableError(
@@ -303,23 +298,17 @@ def combination_dof(
 ) -> float:
     """Return the degrees of freedom of a combination of the unknowns.
 
-    reading_dofs: Of the noise of readings and poses, in the order of the fit.
-    record_dof: Of the noise of records.
+    reading_dofs: Degrees of freedom of the noise of readings and poses, in the order of the fit.
+    record_dof: Degrees of freedom of the noise of records.
     """
     combination = fit.solution.combine(weights)
-    row_contributions, total_variance = (
-        combination.noise_rows,
-        float(weights @ fit.solution.covariance @ weights),
-    )
+    rows, variance = combination.noise_rows, float(weights @ fit.solution.covariance @ weights)
     block_sizes = [block.factor.shape[0] for block in fit.blocks[len(fit.design_blocks) :]]
-    block_ends = np.cumsum([row_contributions.size - sum(block_sizes), *block_sizes])
-    inverse_dof = 1.0 / mixture_dof(
-        _variance_share(row_contributions[: block_ends[0]], total_variance), record_dof
-    )
-    for block_rows, noise_dof in zip(
-        np.split(row_contributions, block_ends[:-1])[1:], reading_dofs, strict=True
-    ):
-        inverse_dof += 1.0 / mixture_dof(_variance_share(block_rows, total_variance), noise_dof)
+    block_ends = np.cumsum([rows.size - sum(block_sizes), *block_sizes])
+    dofs = (record_dof, *reading_dofs)
+    inverse_dof = 0.0
+    for block_rows, noise_dof in zip(np.split(rows, block_ends[:-1]), dofs, strict=True):
+        inverse_dof += 1.0 / mixture_dof(_variance_share(block_rows, variance), noise_dof)
     return 1.0 / inverse_dof if inverse_dof > 0.0 else math.inf
 
 

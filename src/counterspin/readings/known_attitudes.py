@@ -105,11 +105,9 @@ class Readings:
     def perturb(self, stations: Stations, symbol: str, deviation: float) -> Stations:
         """Return stations of the readings with the effect of another machine term."""
         steps = deviation * self.affected_mask(symbol)
-        return (
-            stations.perturb(symbol, steps, self.head, self.head_angles)
-            if steps.any()
-            else stations
-        )
+        if not steps.any():
+            return stations
+        return stations.perturb(symbol, steps, self.head, self.head_angles)
 
     @cached_property
     def head_angles(self) -> Array:
@@ -150,9 +148,8 @@ class Readings:
         groups: dict[tuple[object, ...], list[int]] = {}
         angles = self.head_angles
         # Directions of axes have rounding errors.
-        axes = np.column_stack(
-            [self.stations.axes.reshape(self.size, 9), np.cos(angles), np.sin(angles)]
-        )
+        axes = self.stations.axes.reshape(self.size, 9)
+        axes = np.column_stack([axes, np.cos(angles), np.sin(angles)])
         # A repeat has the same stated rate, but not exactly the same measured rate.
         rates = self.stated_rates or self.stations.rate.tolist()
         rows = zip(np.round(axes, 9).tolist(), rates, self.mountings, strict=True)
@@ -416,10 +413,8 @@ class _OperatingPoint:
         self, upper_products: Array, lower_products: Array, step: float, rows: Any
     ) -> Array:
         """Return half the second derivative of the indications."""
-        return (
-            self.slope(upper_products + lower_products, 2.0 * self.products[rows], step, rows)
-            / step
-        )
+        doubled_products = 2.0 * self.products[rows]
+        return self.slope(upper_products + lower_products, doubled_products, step, rows) / step
 
     def rate_uncertainty(self, symbol: str, relative_u: Array | float) -> Array:
         """Return the standard uncertainty due to random errors of rates or amplitudes, g, (n,).

@@ -191,10 +191,8 @@ class LinearReadings(Observation):
 
     def block(self, noise: Mapping[str, Noise]) -> Block:
         """Return the square-root information with the noise of the source, unless it is stated."""
-        noise_model = noise.get(self.source)
-        return (
-            self if noise_model is None else self.with_noise(noise_model.white)
-        ).whitened_block()
+        model = noise.get(self.source)
+        return (self if model is None else self.with_noise(model.white)).whitened_block()
 
     def whitened_block(self) -> Block:
         """Return the square-root information with the current noise."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -146,16 +147,14 @@ def head_angle(group: Readings) -> tuple[Array, npt.NDArray[np.bool_]]:
     on_axis[has_head] = (axes == axis).all(axis=1)
     axis = axis / np.linalg.norm(axis)
     up = np.array([0.0, 0.0, 1.0])
-    zero_direction = up if abs(axis @ up) < 0.9 else np.array([0.0, 1.0, 0.0])
-    zero_direction = zero_direction - (zero_direction @ axis) * axis
-    zero_direction /= np.linalg.norm(zero_direction)
-    quarter_direction = np.cross(axis, zero_direction)
+    zero = up if abs(axis @ up) < 0.9 else np.array([0.0, 1.0, 0.0])
+    zero = zero - (zero @ axis) * axis
+    zero /= np.linalg.norm(zero)
+    quarter = np.cross(axis, zero)
     frames = group.stations.axes
     projections = np.abs(frames[on_axis] @ axis)
     pointer = frames[:, 0] if projections[:, 0].max() < 0.9 else frames[:, 1]
-    angle[on_axis] = np.arctan2(
-        pointer[on_axis] @ quarter_direction, pointer[on_axis] @ zero_direction
-    )
+    angle[on_axis] = np.arctan2(pointer[on_axis] @ quarter, pointer[on_axis] @ zero)
     return angle, on_axis
 
 
@@ -237,7 +236,7 @@ def _missing_terms(
             yield TERM, symbol, product
     for symbol, row in CONDITION_TERMS.items():
         factor = readings.design_factor(symbol)
-        # A slope with time that nobody has stated is the drift.
+        # A slope with time without a stated value is the drift.
         if (
             symbol not in estimated_symbols
             and np.ptp(factor) > 0.0
@@ -393,11 +392,9 @@ def best_patterns(
             for member, outlier_column in enumerate(outlier_columns)
             if group.index in outlier_column.columns
         ]
-        group_block, is_usable_in_group = (
-            columns[:, start : start + len(group_columns)],
-            is_usable[start : start + len(group_columns)],
-        )
-        start += len(group_columns)
+        end = start + len(group_columns)
+        group_block, is_usable_in_group = columns[:, start:end], is_usable[start:end]
+        start = end
         basis = np.linalg.qr(columns[:, outlier_indices])[0]
         outlier_projection = basis.T @ residual
         if outlier_indices and is_usable_in_group.any():
@@ -406,22 +403,15 @@ def best_patterns(
             if np.max(np.abs(group_block[:, is_usable_in_group].T @ residual) / norms) ** 2 > float(
                 outlier_projection @ outlier_projection
             ):
-                outlier_indices, basis, outlier_projection = (
-                    [],
-                    basis[:, :0],
-                    outlier_projection[:0],
-                )
+                outlier_indices, basis = [], basis[:, :0]
+                outlier_projection = outlier_projection[:0]
         remainder = group_block - basis @ (basis.T @ group_block)
         residual_without_outliers = residual - basis @ outlier_projection
         norms = np.linalg.norm(remainder, axis=0)
         is_usable_in_group &= norms**2 > MIN_RESIDUAL_FRACTION
         if not is_usable_in_group.any():
             continue
-        usable_columns = [
-            column
-            for column, is_usable in zip(group_columns, is_usable_in_group.tolist(), strict=True)
-            if is_usable
-        ]
+        usable_columns = list(compress(group_columns, is_usable_in_group.tolist()))
         unit_columns = remainder[:, is_usable_in_group] / norms[is_usable_in_group]
         is_collinear = np.abs(unit_columns.T @ unit_columns) > _COLLINEAR
         combinations = [
@@ -437,11 +427,8 @@ def best_patterns(
         residual_dof = group.residual_dof - len(outlier_indices)
         reductions, p_values, rows = [], [], projection.row_slices[group.index]
         for members in combinations:
-            reductions.append(
-                _chi2_reduction(
-                    np.linalg.qr(unit_columns[:, members])[0], residual_without_outliers, rows
-                )
-            )
+            member_basis = np.linalg.qr(unit_columns[:, members])[0]
+            reductions.append(_chi2_reduction(member_basis, residual_without_outliers, rows))
             noise_share = max(
                 _noise_fraction(group, usable_columns[member], unit_columns[rows, member])
                 for member in members
@@ -478,9 +465,7 @@ def best_patterns(
                 0,
             )
         )
-    return [
-        Pattern(pattern.group, pattern.alternatives, pattern.p, n_tests) for pattern in patterns
-    ]
+    return [replace(pattern, tests=n_tests) for pattern in patterns]
 
 
 def _harmonic_pairs(columns: Sequence[Alternative]) -> Iterator[tuple[int, ...]]:
@@ -548,16 +533,14 @@ def _p_value(
         # If there are other errors, the gain must exceed their scale.
         if chi_square_tail(other_dof, remaining_chi2) > SIGNIFICANCE:
             return p_without_scale, 1.0
-        return max(
-            p_without_scale, _tail_probability(n_columns, other_dof, chi2_gain / scale)
-        ), scale
+        p = _tail_probability(n_columns, other_dof, chi2_gain / scale)
+        return max(p_without_scale, p), scale
     # The variance of the head is known, so only the noise has an estimated scale. Repeats at one
     # setting contain no pattern.
     remaining_chi2 = max(group.chi2 - noise_share * chi2_gain, group.repeat_squares)
     scale = (1.0 - noise_share) + noise_share * max(remaining_chi2 / other_dof, 1e-12)
-    return _tail_probability(
-        n_columns, other_dof / max(noise_share, 1e-6) ** 2, chi2_gain / scale
-    ), scale
+    scale_dof = other_dof / max(noise_share, 1e-6) ** 2
+    return _tail_probability(n_columns, scale_dof, chi2_gain / scale), scale
 
 
 def _tail_probability(n_columns: int, dof: float, chi2_gain: float) -> float:

@@ -1,4 +1,4 @@
-"""[readings]: the keys of a table of readings."""
+"""Section [readings]: keys of a table of readings."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.physics.terms import MotionKind
 from counterspin.records.format_registry import RECORD_FORMATS
 
-#: A column's name, or those of the repeats of one reading.
+#: Name of a column, or names of the columns with the repeats of one reading.
 _ColumnNames = str | list[str]
 
-#: Endings of the files of such a table.
+#: File endings of tables of readings.
 TABLE_ENDINGS: Final = tuple(e for e, form in RECORD_FORMATS.items() if form.holds_readings)
 
-#: Columns that a table may have, beside those of the readings themselves.
+#: Columns of a table in addition to those of the readings.
 COLUMNS: Final = (
     "name",
     "motion",

@@ -67,10 +67,10 @@ def convert_rows(
         if name in outputs:
             fields |= columns.value_fields(name, outputs[name], gravity)
         fields |= columns.axes_fields(reading, mountings[name])
-        field_values = zip(*fields.values(), strict=True)
-        readings.append(
-            [copy_with(reading, dict(zip(fields, row, strict=True))) for row in field_values]
+        changes = (
+            dict(zip(fields, row, strict=True)) for row in zip(*fields.values(), strict=True)
         )
+        readings.append([copy_with(reading, change) for change in changes])
     for is_valid, row_readings in zip(columns.valid, zip(*readings, strict=True), strict=True):
         yield row_readings if is_valid else None
 
@@ -119,9 +119,8 @@ class _RowColumns:
         fields = {"value": ((value - zero) / sensitivity).tolist()}
         if u[0] > 0.0:
             return fields | {"u": (u / abs(sensitivity)).tolist()}
-        digits = [
-            Quantity(float(quantity.last_digit_step(repr(q.value))), 0.0, q.unit) for q in numbers
-        ]
+        steps = (float(quantity.last_digit_step(repr(number.value))) for number in numbers)
+        digits = [Quantity(step, 0.0, n.unit) for step, n in zip(steps, numbers, strict=True)]
         resolution, _ = self._convert(digits, unit, gravity_in_unit)
         return fields | {"resolution": (resolution / abs(sensitivity)).tolist()}
 

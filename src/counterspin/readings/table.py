@@ -147,10 +147,8 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
     outputs = {name: _stated_output(table) for name, table in tables.items()}
     table = ReadingsTable(settings, outputs, problems, document)
     new_runs = [run for run, _ in table.runs(list(columns), rows)]
-    document["runs"] = [
-        *list_of(document, "runs"),
-        *to_toml_value(new_runs, ("readings",), problems.add),
-    ]
+    new_runs = to_toml_value(new_runs, ("readings",), problems.add)
+    document["runs"] = [*list_of(document, "runs"), *new_runs]
 
 
 def _stated_output(table: Any) -> Output | None:
@@ -219,9 +217,8 @@ class ReadingsTable:
         """
         required_names = set(row)
         if _STATION_KEYS & self.columns.keys():
-            required_names = set().union(
-                *(view.required_columns for view in self.mounting_views(row))
-            )
+            views = self.mounting_views(row)
+            required_names = set().union(*(view.required_columns for view in views))
         return not all(is_empty(row[column]) for column in required_names)
 
     @cached_property
@@ -291,10 +288,8 @@ class ReadingsTable:
         stated_columns, problems = self.settings.columns, self.problems
         for key, value in stated_columns.items():
             if key not in (*COLUMNS, "reading", "u"):
-                known_names = (*COLUMNS, "reading", "u")
-                problems.add(
-                    (*path, key), "unknown key" + suggest_name(key, known_names), "unknown-key"
-                )
+                hint = suggest_name(key, (*COLUMNS, "reading", "u"))
+                problems.add((*path, key), f"unknown key{hint}", "unknown-key")
             elif key in COLUMNS and not isinstance(value, str):
                 problems.add((*path, key), "must be the name of a single column", "wrong-type")
         if not stated_columns.get("reading"):
@@ -472,16 +467,13 @@ class ReadingsTable:
                 self.problems.add((*path[:-1], "sense"), message, "unknown-choice")
                 return motion, None
             u = self._parse_number(cell("u_rate"), (*path[:-1], "u_rate"))
-            return motion, self.problems.collect(
-                path, self._parse_rate, rate, SENSE_WORDS[sense], u
-            )
+            rate_args = rate, SENSE_WORDS[sense], u
+            return motion, self.problems.collect(path, self._parse_rate, *rate_args)
         if motion != "arm" or "motion" in self.columns:
             return motion, None
         if rate_cell is None:
-            message = (
-                "is missing: a reading on an arm requires a rate; write 0 for readings at rest"
-            )
-            self.problems.add(path, message, "missing-value")
+            text = "is missing: a reading on an arm requires a rate; write 0 for readings at rest"
+            self.problems.add(path, text, "missing-value")
         return "static", None
 
     def _vibration(self, cell: Callable[[str], Any], path: KeyPath) -> dict[str, Quantity]:
@@ -548,12 +540,8 @@ class ReadingsTable:
         u_columns = self.value_columns("u").get(name, [])
         if u_columns and not is_empty(row[u_columns[0]]):
             return self._parse_number(row[u_columns[0]], (*path, u_columns[0]))
-        output = self.accelerometers[name]
-        return (
-            parse_exact(self.settings.u, output.unit if output else "g")
-            if self.settings.u
-            else None
-        )
+        output, u = self.accelerometers[name], self.settings.u
+        return parse_exact(u, output.unit if output else "g") if u else None
 
     def _parse_number(self, value: Any, path: KeyPath) -> float | None:
         number = None if value is None else parse_number(value)

@@ -57,10 +57,8 @@ class _UndetectedFault(NamedTuple):
 
     def merge(self, other: _UndetectedFault) -> _UndetectedFault:
         """Return this fault merged with another fault of the same kind."""
-        expected_ratio = max(self.expected_ratio, other.expected_ratio)
-        return max(self, other, key=lambda fault: fault.ratio)._replace(
-            expected_ratio=expected_ratio
-        )
+        expected = max(self.expected_ratio, other.expected_ratio)
+        return max(self, other, key=lambda fault: fault.ratio)._replace(expected_ratio=expected)
 
 
 def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list[str]]:
@@ -88,16 +86,13 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
         residual_norms, shifts = undetected_effects(fit, tuple(faults))
         tests = run_score_tests(fit, tuple(faults), noise_given=group.has_external_noise)
         for column_index, (column, typical_size) in enumerate(faults.items()):
-            size = min(
-                typical_size, detectable_effect / max(float(residual_norms[column_index]), 1e-300)
-            )
+            norm = float(residual_norms[column_index])
+            size = min(typical_size, detectable_effect / max(norm, 1e-300))
             if column.kind == REVERSED and size < typical_size:
                 continue  # The fault is all or nothing, and the tests would detect it.
             for view in views:
                 symbol, shift, ratio = largest_shift(view, (), size * shifts[:, column_index])
-                ratio *= _noise_shrinkage(
-                    view, fit, symbol, group, size * float(residual_norms[column_index])
-                )
+                ratio *= _noise_shrinkage(view, fit, symbol, group, size * norm)
                 expected_size = _expected_size(
                     column,
                     typical_size,
@@ -123,9 +118,8 @@ def fault_remarks(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
     """Yield a remark for each accelerometer with undetected faults."""
     for name, clauses in faults.items():
         if clauses:
-            subject, pronoun = (
-                ("this fault", "it") if len(clauses) == 1 else ("these faults", "them")
-            )
+            is_single = len(clauses) == 1
+            subject, pronoun = ("this fault", "it") if is_single else ("these faults", "them")
             single_range = any(_METER_GAIN in clause for clause in clauses)
             yield (
                 f"{name}: the residuals would not reveal {subject}: {'; '.join(clauses)}. Rule "
@@ -199,7 +193,6 @@ def _describe_fault(fault: Alternative, size: float) -> str:
     if fault.kind == RANGE:
         return f"{_METER_GAIN} of {1e6 * size:.2g} ppm above {fault.symbol}"
     if fault.kind == TURN:
-        return (
-            f"a head error that grows by {2.0 * math.pi * size / ARCSEC:.2g} arcsec per revolution"
-        )
+        arcsec = 2.0 * math.pi * size / ARCSEC
+        return f"a head error that grows by {arcsec:.2g} arcsec per revolution"
     return f"a bias drift of {format_magnitude('K_F', size, 3)} during the series"

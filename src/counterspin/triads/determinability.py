@@ -51,11 +51,11 @@ def undetermined_parameters(
     fit: Fit of the model with the default priors of all candidates.
     model: Model without these priors.
     """
-    undetermined: list[Unknown] = []
-    while len(undetermined) < len(candidates):
-        current_model = model.with_default_priors(undetermined)
+    undetermined_unknowns: list[Unknown] = []
+    while len(undetermined_unknowns) < len(candidates):
+        current_model = model.with_default_priors(undetermined_unknowns)
         solution = solve_blocks(fit.blocks, current_model)
-        remaining = [unknown for unknown in candidates if unknown not in undetermined]
+        remaining = [unknown for unknown in candidates if unknown not in undetermined_unknowns]
         indices = [model.unknowns.index(unknown) for unknown in remaining]
         limits = np.array([unknown.limit for unknown in remaining])
         is_undetermined = solution.u[indices] >= limits
@@ -68,7 +68,7 @@ def undetermined_parameters(
                 > _MIN_PRIOR_FRACTION * default_sds
             )
             is_undetermined = (curvature > _MOVE_SDS**2) & is_significant
-        if not is_undetermined.any() and undetermined:
+        if not is_undetermined.any() and undetermined_unknowns:
             is_undetermined = (
                 _prior_contributions(solution, current_model, indices)
                 > _MIN_PRIOR_FRACTION * default_sds
@@ -76,8 +76,9 @@ def undetermined_parameters(
         if not is_undetermined.any():
             break
         relative_u = solution.u[indices] / default_sds
-        undetermined.append(remaining[int(np.argmax(np.where(is_undetermined, relative_u, -1.0)))])
-    return undetermined
+        index = int(np.argmax(np.where(is_undetermined, relative_u, -1.0)))
+        undetermined_unknowns.append(remaining[index])
+    return undetermined_unknowns
 
 
 def _prior_contributions(solution: Solution, model: Unknowns, indices: Sequence[int]) -> Array:

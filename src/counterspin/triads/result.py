@@ -388,9 +388,9 @@ def _pose_results(
 
 def _nonlinear_effects(campaign: Campaign, solved_poses: SolvedPoses) -> Array:
     """Return the effect of the requested nonlinear terms on the indications, shape (n, 3)."""
-    linear = ("K_F", *SENSITIVITY_TERMS)
+    linear_symbols = ("K_F", *SENSITIVITY_TERMS)
     terms = campaign.model.terms
-    indices = [_SYMBOLS.index(s) for s in terms if s in TERMS and s not in linear]
+    indices = [_SYMBOLS.index(s) for s in terms if s in TERMS and s not in linear_symbols]
     effect: Array = np.sum(
         solved_poses.products[:, :, indices] * solved_poses.effective[:, :, indices], axis=2
     )
