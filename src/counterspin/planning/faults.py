@@ -351,10 +351,8 @@ def _batch_sensitivities(
             name: products[column_slice, column_slice]
             for name, products in batch_result.accelerometer_products.items()
         }
-        shifts, products = (
-            batch_result.shifts[:, column_slice],
-            batch_result.residual_products[column_slice, column_slice],
-        )
+        shifts = batch_result.shifts[:, column_slice]
+        products = batch_result.residual_products[column_slice, column_slice]
         yield FaultSensitivity(shifts, products, accelerometer_products, batch_result.dof, fault)
 
 

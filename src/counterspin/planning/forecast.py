@@ -335,10 +335,8 @@ def make_setup(campaign: Campaign, sampling_rate: float, *, keep_considered: boo
         ]
         model = Unknowns(model.unknowns + estimated_terms).without(time_dependent_symbols)
     stated_sizes = _resolve_noise_sizes(campaign, next(iter(campaign.accelerometers)))
-    timing_noise, encoder_noise = (
-        float(stated_sizes.get("timing", 0.0)),
-        float(stated_sizes.get("angle", 0.0)),
-    )
+    timing_noise = float(stated_sizes.get("timing", 0.0))
+    encoder_noise = float(stated_sizes.get("angle", 0.0))
     if campaign.angle is None:
         encoder_noise = math.inf
     noise = record_noise(campaign)

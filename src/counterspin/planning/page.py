@@ -413,7 +413,7 @@ def _format_size(requirement: Requirement) -> str:
     return f"{format_number(requirement.size * factor, 2)} {unit}"
 
 
-# Words
+# Formatted values
 
 
 def _main_coefficient(result: PlanResult) -> str:

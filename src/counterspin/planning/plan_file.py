@@ -83,16 +83,16 @@ class Plan:
     goal: GoalResult  #: Goal of the plan.
 
 
-def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
+def load_plan(where: Mapping[str, Any] | Path | str) -> dict[str, Any]:
     """Return a plan's document; CampaignError if it cannot be read."""
-    if isinstance(path, Mapping):
-        problems = Problems(path)
-        document: dict[str, Any] = {"schema": 1} | to_toml_value(path, (), problems.add)
+    if isinstance(where, Mapping):
+        problems = Problems(where)
+        document: dict[str, Any] = {"schema": 1} | to_toml_value(where, (), problems.add)
         if problems.lines:
-            raise CampaignError(str(plan_name(path)), problems.lines)
+            raise CampaignError(str(plan_name(where)), problems.lines)
         return document
     advice = "`planning.plan.write_example` writes a starter plan"
-    return load_document(Path(path), advice, "plan")
+    return load_document(Path(where), advice, "plan")
 
 
 def change_plan(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -121,17 +121,17 @@ def is_plan(document: Mapping[str, Any]) -> bool:
     return {"limits", "goal"} <= document.keys()
 
 
-def plan_name(path: Mapping[str, Any] | Path | str) -> Path:
+def plan_name(where: Mapping[str, Any] | Path | str) -> Path:
     """Return the name of a plan for messages: its file, if any."""
-    return Path("plan in memory") if isinstance(path, Mapping) else Path(path)
+    return Path("plan in memory") if isinstance(where, Mapping) else Path(where)
 
 
-def read_plan(path: Mapping[str, Any] | Path | str, file: Path | None = None) -> Plan:
+def read_plan(where: Mapping[str, Any] | Path | str, file: Path | None = None) -> Plan:
     """Read and check a plan.
 
     file: File of a plan in memory, whose folder contains the files that it names; None: no file.
     """
-    file, raw = file or plan_name(path), load_plan(path)
+    file, raw = file or plan_name(where), load_plan(where)
     problems = Problems(raw)
     if "runs" in raw:
         raw = {key: value for key, value in raw.items() if key != "runs"}

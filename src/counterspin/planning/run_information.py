@@ -80,7 +80,7 @@ class RunInformation:
         self._arrange_weights()
 
     def _arrange_weights(self) -> None:
-        """Put the weights in the order of the set-up's model."""
+        """Put the weights in the order of the setup's model."""
         setup = self.setup
         #: Indices of the shared unknowns that depend on the temperature and on the start time.
         self._temperature_indices, self._time_indices = (

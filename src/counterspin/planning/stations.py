@@ -185,22 +185,22 @@ def _fill_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:
 
 
 def read_any_plan(
-    path: Mapping[str, Any] | Path | str, file: Path | None = None
+    where: Mapping[str, Any] | Path | str, file: Path | None = None
 ) -> Plan | ReadingPlan:
     """Read and check a plan of records or of readings; file: as in `plan_file.read_plan`."""
-    has_stations = "stations" in load_plan(path)
-    return read_reading_plan(path, file) if has_stations else read_plan(path, file)
+    has_stations = "stations" in load_plan(where)
+    return read_reading_plan(where, file) if has_stations else read_plan(where, file)
 
 
 def read_reading_plan(
-    path: Mapping[str, Any] | Path | str, file: Path | None = None
+    where: Mapping[str, Any] | Path | str, file: Path | None = None
 ) -> ReadingPlan:
     """Read and check a plan of readings; file: as in `plan_file.read_plan`."""
-    file, raw = file or plan_name(path), load_plan(path)
+    file, raw = file or plan_name(where), load_plan(where)
     problems = Problems(raw)
     problems.check(ReadingPlanDocument, raw, ())
     limits = problems.check(ReadingLimitsSettings, table_of(raw, "limits"), ("limits",))
-    goal = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
+    goal_settings = problems.check(GoalSettings, table_of(raw, "goal"), ("goal",))
     plan_keys = ("limits", "goal", "stations", "runs")
     document = {key: value for key, value in raw.items() if key not in plan_keys}
     existing_runs = list_of(raw, "runs")
@@ -248,7 +248,7 @@ def read_reading_plan(
         # The number of poses determines the parameters of interest; one set of candidates suffices.
         model = {"terms": list(campaign.model.terms), **table_of(raw, "model")}
         document = {**document, "model": model}
-    goal_result = resolve_goal(goal, campaign, problems) if goal and campaign else None
+    goal = resolve_goal(goal_settings, campaign, problems) if goal_settings and campaign else None
     if limits is not None and limits.readings is None and limits.total_time is None:
         problems.add(("limits",), "give readings or total_time", "missing-key")
     if (
@@ -267,7 +267,7 @@ def read_reading_plan(
             "this entry is missing; the records in [[runs]] require a sampling rate",
             "missing-key",
         )
-    if problems.lines or campaign is None or goal_result is None or limits is None:
+    if problems.lines or campaign is None or goal is None or limits is None:
         raise campaign_error(
             file, problems.lines or ["stations: missing; give at least one [[stations]]"]
         )
@@ -282,7 +282,7 @@ def read_reading_plan(
         float(limits.readings or math.inf),
         limits.total_time or math.inf,
         limits.order,
-        goal_result,
+        goal,
     )
 
 

@@ -340,10 +340,8 @@ def _fit_combination(columns: Array, n_harmonics: int) -> tuple[Array, Array]:
     growing_indices = [1, *(i for m in range(1, n_harmonics + 1) for i in (4 * m + 2, 4 * m + 3))]
     projection = 2.0 / points_per_revolution * basis[:points_per_revolution, periodic_indices].T
     projection[0] *= 0.5
-    first_revolution, second_revolution = (
-        columns[..., :points_per_revolution, :],
-        columns[..., points_per_revolution : 2 * points_per_revolution, :],
-    )
+    first_revolution = columns[..., :points_per_revolution, :]
+    second_revolution = columns[..., points_per_revolution : 2 * points_per_revolution, :]
     slope = (second_revolution - first_revolution) / (2.0 * math.pi)
     weights = np.zeros((*columns.shape[:-2], basis.shape[1], columns.shape[-1]))
     weights[..., growing_indices, :] = projection @ slope

@@ -476,10 +476,8 @@ def fill_table(
         for (_, row), is_posed in zip(rows, is_posed_row, strict=True)
         for view in ([] if is_posed else table.mounting_views(row))
     )
-    readings, poses = (
-        iter(noiseless_readings.readings[first_reading:]),
-        iter(noiseless_readings.poses[-sum(is_posed_row) or None :]),
-    )
+    readings = iter(noiseless_readings.readings[first_reading:])
+    poses = iter(noiseless_readings.poses[-sum(is_posed_row) or None :])
     for (index, row), is_posed in zip(rows, is_posed_row, strict=True):
         row_readings = (
             _pose_readings(next(poses), table.value_columns("reading")) if is_posed else readings

@@ -2,7 +2,7 @@
 
 - `study`: the public function, from a study's file to its result
 - `description`: the keys of ``[study]`` and their checks
-- `simulation_setup`: the simulated set-up; `draws`: the true values and the noise of each trial
+- `simulation_setup`: the simulated setup; `draws`: the true values and the noise of each trial
 - `engine_selection`: the competing analyses, and the engine of each analysis
 - `linear_engines`: trials of linear analyses by sufficient statistics, and the Cramer-Rao bound
 - `full_simulation`: trials simulated sample by sample, and analysed as `calibrate` does

@@ -255,9 +255,7 @@ def parse_study(
     recorders = recorders_of(document.get("records", {}), campaign.runs)
     quantities: list[VariedQuantity] = []
     for key, entry_path, entry in _walk_entries(settings.vary, ("study", "vary")):
-        quantities += _parse_varied_quantities(
-            key, entry_path, entry, campaign, recorders, problems
-        )
+        quantities += _parse_quantities(key, entry_path, entry, campaign, recorders, problems)
     for index, quantity in enumerate(quantities):
         if any(_is_same_quantity(quantity, previous) for previous in quantities[:index]):
             problems.add(("study", "vary"), f"{quantity.symbol} is listed twice", "duplicate-entry")
@@ -384,7 +382,7 @@ def _walk_entries(
             yield prefix + key, (*path, key), value
 
 
-def _parse_varied_quantities(
+def _parse_quantities(
     key: str,
     path: KeyPath,
     entry: Any,

@@ -196,10 +196,8 @@ def bias_plots(result: StudyResult, covariate: str) -> Iterator[Plot]:
         half_bin = 0.5 * (bin_centres[1] - bin_centres[0])
         has_trials = trials > 1
         unit, factor = find_display_unit(coefficient.unit)
-        bias_values, expanded_errors = (
-            factor * bias[has_trials],
-            2.0 * factor * se_bias[has_trials],
-        )
+        bias_values = factor * bias[has_trials]
+        expanded_errors = 2.0 * factor * se_bias[has_trials]
         yield Plot(
             title=f"Bias of {name}; error bars: two standard errors",
             x_label=covariate,

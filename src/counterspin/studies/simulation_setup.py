@@ -42,7 +42,7 @@ _MIN_SAMPLES: Final = 3
 
 @frozen
 class SimulationSetup:
-    """Simulated set-up of a campaign."""
+    """Simulated setup of a campaign."""
 
     runs: tuple[str, ...]  #: Names of the runs.
     spindles: tuple[Spindle, ...]  #: Spindle of each run with the fixed values.

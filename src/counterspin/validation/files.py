@@ -238,14 +238,14 @@ def certificate_values(_: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 def corrected_forces(module: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
     """Return corrected specific forces and their standard uncertainties."""
-    case_data = load_document(inputs["file"])
+    document = load_document(inputs["file"])
     result = deepcopy(load_document("certified.json")["result"])
     template = result["accelerometers"]["Qx"] | {"known": {}, "budget": {}}
     accelerometers = {}
-    for name, table in case_data["coefficients"].items():
+    for name, table in document["coefficients"].items():
         symbols = list(table)
         correlation_matrix = np.eye(len(symbols))
-        for first, second, r in case_data["correlation"]:
+        for first, second, r in document["correlation"]:
             if {first, second} <= set(symbols):
                 i, j = symbols.index(first), symbols.index(second)
                 correlation_matrix[i, j] = correlation_matrix[j, i] = float(r)
