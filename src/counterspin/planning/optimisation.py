@@ -419,11 +419,9 @@ class _Variables:
         return Design(self.start.types, np.asarray(rate), np.asarray(np.exp(x[-self.n :])))
 
     def join_gradients(self, rate_gradient: Array, revolution_gradient: Array) -> Array:
-        return (
-            np.concatenate([rate_gradient, revolution_gradient])
-            if self.has_free_rates
-            else revolution_gradient
-        )
+        if not self.has_free_rates:
+            return revolution_gradient
+        return np.concatenate([rate_gradient, revolution_gradient])
 
     def log_time(self, x: Array) -> tuple[float, Array]:
         """Return log(time / total time) and its gradient."""

@@ -189,14 +189,8 @@ def _accelerometer_blocks(
     rows, quiet_rows = [], set()
     coefficients = dict(accelerometer.coefficients) | result.platform
     for index, (symbol, coefficient) in enumerate(coefficients.items()):
-        rows.append(
-            (
-                symbol,
-                _format_u(coefficient),
-                _format_prior(coefficient),
-                _format_sources(coefficient),
-            )
-        )
+        texts = (_format_u(coefficient), _format_prior(coefficient), _format_sources(coefficient))
+        rows.append((symbol, *texts))
         if not coefficient.estimated:
             quiet_rows.add(index)
     yield Table(

@@ -363,12 +363,8 @@ def _alternative_plans(
     ):
         if alternative_design is None:
             continue
-        alternative_u = forecast(search.campaign(alternative_design)).u
-        alternative_time = search.limits.campaign_time(alternative_design)
+        u = forecast(search.campaign(alternative_design)).u
+        time = search.limits.campaign_time(alternative_design)
         label = f"{text} ({len(alternative_design.types)} runs)"
-        plans.append(
-            compare_plan(
-                label, alternative_time, prediction.u, alternative_u, search.plan.goal.sizes
-            )
-        )
+        plans.append(compare_plan(label, time, prediction.u, u, search.plan.goal.sizes))
     return plans

@@ -99,11 +99,8 @@ def _initial_counts(
         *(rounded_weights.copy() for _ in range(n_random_starts)),
     ]
     for counts in (starts[0], *starts[2:]):
-        remainders = (
-            weights
-            - rounded_weights
-            + (0.0 if counts is starts[0] else rng.uniform(size=weights.size))
-        )
+        noise: Array | float = 0.0 if counts is starts[0] else rng.uniform(size=weights.size)
+        remainders = weights - rounded_weights + noise
         for index in np.argsort(-remainders, kind="stable"):
             counts[index] += _allows_addition(candidates, counts, max_count, max_time)[index]
     return starts
@@ -184,16 +181,10 @@ def least_counts(
 
     def scale_limits(fraction: float) -> tuple[float, float] | None:
         if math.isfinite(max_time):
-            return (
-                (max_count, fraction * max_time)
-                if fraction * max_time >= float(candidates.cost.min())
-                else None
-            )
-        return (
-            (count_limit, max_time)
-            if (count_limit := math.floor(fraction * max_count + 1e-9))
-            else None
-        )
+            time = fraction * max_time
+            return (max_count, time) if time >= float(candidates.cost.min()) else None
+        count = math.floor(fraction * max_count + 1e-9)
+        return (count, max_time) if count else None
 
     optimum = best_counts(candidates, criterion, max_count, max_time)
     if not meets_targets(optimum):

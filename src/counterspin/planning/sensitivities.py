@@ -75,11 +75,9 @@ def _extend_block(observation: Observation, columns: Array, fit: JointFit) -> Bl
 
 def _residual_owner(observation: Observation) -> str:
     """Return the name of the accelerometer of an observation, or its source."""
-    return (
-        observation.group.accelerometer
-        if isinstance(observation, LinearReadings)
-        else observation.source
-    )
+    if isinstance(observation, LinearReadings):
+        return observation.group.accelerometer
+    return observation.source
 
 
 def make_column_function(

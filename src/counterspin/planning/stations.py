@@ -162,11 +162,7 @@ def upward_directions(names: Sequence[str]) -> list[dict[str, float]]:
 
     Directions along one axis come first, then between two axes, then between three.
     """
-    combinations = [
-        combination
-        for combination in product((1.0, -1.0, 0.0), repeat=len(names))
-        if any(combination)
-    ]
+    combinations = filter(any, product((1.0, -1.0, 0.0), repeat=len(names)))
     directions = [dict(zip(names, combination, strict=True)) for combination in combinations]
     return sorted(directions, key=lambda direction: sum(map(abs, direction.values())))
 
@@ -412,15 +408,11 @@ def _parse_upward_direction(text: str, names: Sequence[str]) -> dict[str, float]
 
 def _station_attitudes(settings: StationsSettings) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the name and the attitude key of every position at rest."""
-    head_uncertainty = f" ± {settings.u_angle!r} rad" if settings.u_angle else ""
+    u_text = f" ± {settings.u_angle!r} rad" if settings.u_angle else ""
     if settings.positions is not None:
         for position in range(settings.positions):
             angle = 360.0 * position / settings.positions
-            angle_text = (
-                f"{math.radians(angle)!r}{head_uncertainty}"
-                if head_uncertainty
-                else f"{angle!r} deg"
-            )
+            angle_text = f"{math.radians(angle)!r}{u_text}" if u_text else f"{angle!r} deg"
             yield f"{angle:.6g} deg", {"attitude": f"{angle_text} about {settings.about}"}
     elif settings.attitudes is not None:
         for attitude in settings.attitudes:
@@ -442,13 +434,9 @@ def _station_rates(
         if settings.specific_forces:
             magnitude = _rate_for_force(settings.specific_forces[index], raw)
         for sign in signs:
-            name = (
-                rate_text
-                if sign > 0.0
-                else f"-{rate_text}"
-                if settings.rates
-                else f"{rate_text} reversed"
-            )
+            name = rate_text
+            if sign < 0.0:
+                name = f"-{rate_text}" if settings.rates else f"{rate_text} reversed"
             yield name, {"rate": f"{sign * magnitude!r} rad/s"}
 
 

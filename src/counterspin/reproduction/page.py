@@ -58,11 +58,7 @@ FILE_DESCRIPTION: Final = "a figure of the demonstration"
 def demonstration_report(demonstration: Demonstration) -> Report:
     """Return the table of the coefficients by each method, with an explanation."""
     campaign = demonstration.campaign
-    method_results = (
-        demonstration.joint,
-        demonstration.two_stage.result,
-        demonstration.as_printed.result,
-    )
+    results = (demonstration.joint, demonstration.two_stage.result, demonstration.as_printed.result)
     table = Table(
         columns=(
             Column("Term"),
@@ -78,7 +74,7 @@ def demonstration_report(demonstration: Demonstration) -> Report:
                 format_number(true_value * find_display_unit(term(symbol).unit)[1], 12),
                 *(
                     _coefficient_text(result, symbol, symbol in campaign.model.considered)
-                    for result in method_results
+                    for result in results
                 ),
                 find_display_unit(term(symbol).unit)[0],
             )
@@ -87,7 +83,7 @@ def demonstration_report(demonstration: Demonstration) -> Report:
         quiet_rows=frozenset(
             row
             for row, symbol in enumerate(demonstration.truth)
-            if not any(_is_estimated(result, symbol) for result in method_results)
+            if not any(_is_estimated(result, symbol) for result in results)
         ),
     )
     n_runs = len(campaign.runs)

@@ -330,14 +330,9 @@ def fill_description(
         old_texts = _repeat_texts(run["reading"])
         new_texts = []
         run_readings = _pose_readings(next(poses), run["reading"]) if is_pose(run) else readings
-        for repeat_texts in old_texts:
+        for cells in old_texts:
             reading = next(run_readings)
-            new_texts.append(
-                [
-                    _simulated_reading_text(text, campaign, reading, generator)
-                    for text in repeat_texts
-                ]
-            )
+            new_texts.append([_simulate_text(cell, campaign, reading, generator) for cell in cells])
         run["reading"] = _restore_structure(run["reading"], new_texts)
         for old_text, new_text in zip(chain(*old_texts), chain(*new_texts), strict=True):
             position = edited_text.find(f'"{old_text}"', search_start)
@@ -374,11 +369,9 @@ def _restore_structure(reading: Any, new_texts: list[list[str]]) -> Any:
         repeat_texts[0] if isinstance(cell, str) else repeat_texts
         for cell, repeat_texts in zip(cells, new_texts, strict=True)
     ]
-    return (
-        dict(zip(reading, formatted_cells, strict=True))
-        if isinstance(reading, dict)
-        else formatted_cells[0]
-    )
+    if isinstance(reading, dict):
+        return dict(zip(reading, formatted_cells, strict=True))
+    return formatted_cells[0]
 
 
 def _parses_to(text: str, document: Mapping[str, Any]) -> bool:
@@ -388,7 +381,7 @@ def _parses_to(text: str, document: Mapping[str, Any]) -> bool:
         return False
 
 
-def _simulated_reading_text(
+def _simulate_text(
     old_text: str, campaign: Campaign, reading: Reading, generator: np.random.Generator
 ) -> str:
     """Return the text of a reading with its simulated value, keeping the unit and the ±."""

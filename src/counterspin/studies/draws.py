@@ -242,20 +242,15 @@ class Draws:
         value = self.values[owner, symbol]
         return np.broadcast_to(value.mean(axis=0), self.n_trials)
 
-    def true_spindle(self, nominal_spindle: Spindle, run: int) -> Spindle:
+    def true_spindle(self, spindle: Spindle, run: int) -> Spindle:
         """Return the true rotation of one run in the first trial."""
         cos, sin = (float(run_values(rows, run)[0]) for rows in (self.ripple_cos, self.ripple_sin))
-        other_ripples = tuple(ripple for ripple in nominal_spindle.ripples if ripple.harmonic != 1)
+        other_ripples = tuple(ripple for ripple in spindle.ripples if ripple.harmonic != 1)
         first_harmonic = Ripple(
-            1, nominal_spindle.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos))
+            1, spindle.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos))
         )
         drift = float(run_values(self.drift, run)[0])
-        return Spindle(
-            nominal_spindle.rate,
-            drift,
-            (first_harmonic, *other_ripples),
-            nominal_spindle.start_angle,
-        )
+        return Spindle(spindle.rate, drift, (first_harmonic, *other_ripples), spindle.start_angle)
 
 
 @frozen

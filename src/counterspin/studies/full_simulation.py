@@ -230,15 +230,11 @@ class TrialReadings:
     def from_campaign(cls, campaign: Campaign) -> TrialReadings:
         """Return the readings of a campaign; raise ValueError if they have no noise."""
         assert campaign.simulation is not None
-        stated_noises, rates = campaign.simulation.truth.reading_noise, true_rates(campaign)
+        noise_by_name, rates = campaign.simulation.truth.reading_noise, true_rates(campaign)
         readings, true_noises, estimated_dof = [], [], []
         for reading, rate in zip(campaign.readings, rates.tolist(), strict=True):
-            stated_noise = stated_noises.get(reading.accelerometer)
-            true_noise = (
-                (reading.u or 0.0)
-                if stated_noise is None
-                else stated_noise / math.sqrt(reading.repeats)
-            )
+            noise = noise_by_name.get(reading.accelerometer)
+            true_noise = (reading.u or 0.0) if noise is None else noise / math.sqrt(reading.repeats)
             noise_dof = math.inf
             if reading.record is not None:
                 true_noise, noise_dof = _record_noise(campaign, reading)
@@ -374,7 +370,7 @@ def _make_drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
     """Yield the poses of a campaign in two groups: with and without a stated noise."""
     assert campaign.simulation is not None
     poses, directions = true_poses(campaign), true_directions(campaign)
-    stated_noises = campaign.simulation.truth.reading_noise
+    noise_by_name = campaign.simulation.truth.reading_noise
     for has_stated_noise in (True, False):
         indices = [
             index
@@ -386,8 +382,8 @@ def _make_drawn_poses(campaign: Campaign) -> Iterator[DrawnPoses]:
         noise = np.array(
             [
                 [
-                    stated_noises[reading.accelerometer] / math.sqrt(reading.repeats)
-                    if reading.accelerometer in stated_noises
+                    noise_by_name[reading.accelerometer] / math.sqrt(reading.repeats)
+                    if reading.accelerometer in noise_by_name
                     else reading.u or 0.0
                     for reading in poses[index]
                 ]

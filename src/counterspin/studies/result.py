@@ -270,17 +270,13 @@ def binomial_interval(successes: float, trials: float) -> tuple[float, float]:
     """Return the 95 % Clopper-Pearson interval of a share (Biometrika 26, 404, 1934)."""
     from scipy.special import betaincinv
 
-    tail_probability = 0.025
+    tail = 0.025
     successes = round(successes)
-    low = (
-        0.0
-        if successes == 0
-        else float(betaincinv(successes, trials - successes + 1.0, tail_probability))
-    )
+    low = 0.0 if successes == 0 else float(betaincinv(successes, trials - successes + 1.0, tail))
     high = (
         1.0
         if successes >= trials
-        else float(betaincinv(successes + 1.0, trials - successes, 1.0 - tail_probability))
+        else float(betaincinv(successes + 1.0, trials - successes, 1.0 - tail))
     )
     return low, high
 

@@ -204,14 +204,11 @@ def expand_pose_records(document: Mapping[str, Any], campaign: Campaign) -> dict
 
     campaign: Campaign of the description, with [truth].
     """
-    records = (
-        {pose_record.name: pose_record for pose_record in campaign.triad.records}
-        if campaign.triad
-        else {}
-    )
+    records = campaign.triad.records if campaign.triad else ()
+    records_by_name = {record.name: record for record in records}
     runs: list[Any] = []
     for run in document.get("runs", ()):
-        record = records.get(run.get("name")) if is_pose(run) else None
+        record = records_by_name.get(run.get("name")) if is_pose(run) else None
         runs += [run] if record is None else _pose_runs(record, campaign)
     return {**document, "runs": runs}
 

@@ -41,11 +41,9 @@ class Case:
     def expected(self) -> Mapping[str, Array]:
         """Expected values, name -> values of any shape; CounterspinError if they are missing."""
         kernel = self.kernel.rpartition(":")[2]
-        expected = (
-            _EXPECTED_VALUES[kernel](self.given)
-            if self.inline_expected is None
-            else self.inline_expected
-        )
+        expected = self.inline_expected
+        if expected is None:
+            expected = _EXPECTED_VALUES[kernel](self.given)
         return {name: np.array(values, np.float64) for name, values in expected.items()}
 
     def tolerance(self, name: str) -> Array:
@@ -111,11 +109,8 @@ def compared_symbols(inputs: Mapping[str, Any]) -> dict[str, list[str]]:
 
 def compared_positions(inputs: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the positions on an arm, at one rate, for which the file states forces."""
-    return [
-        position
-        for position in load_document(inputs["file"])["cases"]
-        if position["rate"] == inputs["rate"]
-    ]
+    positions = load_document(inputs["file"])["cases"]
+    return [position for position in positions if position["rate"] == inputs["rate"]]
 
 
 def _expected_integrals(inputs: Mapping[str, Any]) -> dict[str, Any]:

@@ -95,11 +95,8 @@ def _is_package_file(path: Path) -> bool:
 
 
 def _unrecorded_files(paths: list[Path], folder: Path, recorded_files: dict[str, str]) -> list[str]:
-    return [
-        name
-        for name in (path.relative_to(folder).as_posix() for path in paths)
-        if name not in recorded_files
-    ]
+    names = (path.relative_to(folder).as_posix() for path in paths)
+    return [name for name in names if name not in recorded_files]
 
 
 def _installed_version(name: str) -> str:
