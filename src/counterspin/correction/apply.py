@@ -169,7 +169,7 @@ def apply(
             _SOURCE,
             [f"`others`: {accelerometer} is the accelerometer to be corrected; omit it here"],
         )
-    unit, scales = _column_scales(result, indications, options.unit)
+    unit, scales = _find_scales(result, indications, options.unit)
     factor = unit_factor(unit, "g", gravity=result.inputs.gravity)
     available_factors = {"I", "|I|", "sign_I"}
     available_factors |= {"P"} if options.pendulous is not None else set()
@@ -288,9 +288,7 @@ class _Scale:
     zero: float = 0.0
 
 
-def _column_scales(
-    result: Result, names: Iterable[str], unit: str
-) -> tuple[str, dict[str, _Scale]]:
+def _find_scales(result: Result, names: Iterable[str], unit: str) -> tuple[str, dict[str, _Scale]]:
     """Return the unit of the corrected values, and the conversion of each column."""
     try:
         factor = unit_factor(unit, "g", gravity=result.inputs.gravity)

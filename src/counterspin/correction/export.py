@@ -162,9 +162,7 @@ def coefficient_table(result: Result) -> CoefficientTable:
     """Return all coefficients that have a value: estimates, stated priors, default priors."""
     full_result, _ = add_unstated_terms(result, _ALL_FACTORS)
     instruments = [make_instrument(full_result, name) for name in full_result.accelerometers]
-    terms = [
-        applicable_terms(accelerometer) for accelerometer in full_result.accelerometers.values()
-    ]
+    terms = list(map(applicable_terms, full_result.accelerometers.values()))
     offsets = np.cumsum([0, *(len(instrument.coefficients) for instrument in instruments)])
     covariance = np.zeros((offsets[-1], offsets[-1]))
     blocks = {(i, i): instrument.covariance for i, instrument in enumerate(instruments)}

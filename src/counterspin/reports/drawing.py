@@ -295,9 +295,8 @@ def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
     max_value = float(np.max(np.abs(values), initial=0.0)) or 1.0
     max_label_width = 0.45 * DRAWING_WIDTH
     labels = [wrap_text(label, max_label_width) for label in bars.labels]
-    label_width = max(
-        (text_width(line) for label in labels for line in label.split("\n")), default=0.0
-    )
+    lines = (line for label in labels for line in label.split("\n"))
+    label_width = max(map(text_width, lines), default=0.0)
     axes.set_yticks(positions, labels)
     axes.tick_params(axis="y", length=0.0)
     axes.grid(visible=False)

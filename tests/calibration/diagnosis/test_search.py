@@ -211,7 +211,7 @@ def test_suspicion_threshold_depends_on_number_of_shifts(
     monkeypatch, records, shift, suspicious, more, extra
 ):
     """Among 3 shifts one above 3 is suspicious; among 300 one above 4.15 (two-sided 0.01/300)."""
-    monkeypatch.setattr(search, "_statistics_findings", lambda *_: ())
+    monkeypatch.setattr(search, "_statistic_findings", lambda *_: ())
     view = SimpleNamespace(name="A", has_records=False, records=lambda: range(records + more))
     line = SimpleNamespace(z=shift + extra, dof=math.inf)
     result = SimpleNamespace(findings=[], jackknife=[line], two_stage=None)

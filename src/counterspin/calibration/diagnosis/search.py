@@ -246,9 +246,7 @@ def _is_suspicious(
     record_count = sum(1 for view in views for _ in view.records())
     for view in views:
         result = results[view.name]
-        codes = {
-            finding.code for finding in (*result.findings, *_statistics_findings(view, result))
-        }
+        codes = {finding.code for finding in (*result.findings, *_statistic_findings(view, result))}
         if codes & EXPLAINABLE_CODES:
             return True
         shifts = [normal_equivalent(line.z, line.dof) for line in result.jackknife if line.z]
@@ -495,7 +493,7 @@ def _update_view(view: AccelerometerView, estimate: Estimate) -> AccelerometerVi
 
 def _check_view(view: AccelerometerView) -> Iterator[Finding]:
     yield from residual_findings(view)
-    yield from _statistics_findings(view, None)
+    yield from _statistic_findings(view, None)
     coefficients = {
         symbol: make_coefficient(view.estimate, view.assessment, index)
         for symbol, index in view.indices.items()
@@ -505,7 +503,7 @@ def _check_view(view: AccelerometerView) -> Iterator[Finding]:
         yield from (finding, *finding.explains)
 
 
-def _statistics_findings(
+def _statistic_findings(
     view: AccelerometerView, result: AccelerometerResult | None
 ) -> Iterator[Finding]:
     """Yield the statistical findings on one accelerometer; result: None: computed from the view."""

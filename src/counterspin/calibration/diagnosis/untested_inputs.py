@@ -105,21 +105,17 @@ def fit_rotated_mountings(views: Sequence[AccelerometerView]) -> tuple[Alternati
         if not _stated_cross_terms(view):
             continue
         is_noise_known = not view.has_records or view.diagnostics.noise_given
-        is_noise_known = is_noise_known and all(
-            math.isinf(group.noise_dof) for group in view.groups
-        )
+        is_noise_known &= all(math.isinf(group.noise_dof) for group in view.groups)
         (stated_fit, _), *rotated_fits = (
             _fit_rotated_mounting(view, relaxed_estimate, groups, quarter_turns)
             for quarter_turns in range(4)
         )
-        for quarter_turns, (fit, fitted_groups) in enumerate(rotated_fits, 1):
+        for quarter_turns, (fit, new_groups) in enumerate(rotated_fits, 1):
             residual_variance = fit.solution.chi2 / max(fit.solution.dof, 1.0)
             residual_variance = max(residual_variance, 1.0) if is_noise_known else residual_variance
             gain = (stated_fit.solution.chi2 - fit.solution.chi2) / residual_variance
             dof = None if is_noise_known else max(fit.solution.dof, 1.0)
-            mountings.append(
-                AlternativeMounting(view, quarter_turns, fit, gain, dof, fitted_groups)
-            )
+            mountings.append(AlternativeMounting(view, quarter_turns, fit, gain, dof, new_groups))
     return tuple(mountings)
 
 
