@@ -153,6 +153,16 @@ class AnsweredDraft:
             if question.key not in self.answers and question.guess is None
         ]
 
+    @property
+    def answers_and_guesses(self) -> dict[str, str]:
+        """Key of a question -> answer, or else guess."""
+        guesses = {
+            question.key: question.guess
+            for question in self.questions
+            if question.guess is not None
+        }
+        return guesses | dict(self.answers)
+
     def complete(self) -> dict[str, str]:
         """Return answers and guesses by key; CampaignError if an answer is missing or invalid."""
         # Files that must be exported again are reported first.
@@ -165,12 +175,7 @@ class AnsweredDraft:
         ]
         if missing_answers or self.problems:
             raise MissingAnswersError("init", [*missing_answers, *self.problems])
-        guesses = {
-            question.key: question.guess
-            for question in self.questions
-            if question.guess is not None
-        }
-        return guesses | dict(self.answers)
+        return self.answers_and_guesses
 
 
 def relative_path(file: Path, folder: Path) -> str:

@@ -76,16 +76,6 @@ class ReadingsDraft(AnsweredDraft):
         """The file of the table."""
         return [self.contents.path]
 
-    @property
-    def answers_and_guesses(self) -> dict[str, str]:
-        """Key of a question -> answer, or else guess."""
-        guesses = {
-            question.key: question.guess
-            for question in self.questions
-            if question.guess is not None
-        }
-        return guesses | dict(self.answers)
-
     def make_common_document(
         self,
         folder: Path,
