@@ -70,10 +70,8 @@ def _document_schema(model: type[BaseModel]) -> JsonSchema:
 
 def _plan_schema() -> JsonSchema:
     """Return the schema of plans of records and plans of readings."""
-    record_schema, reading_schema = (
-        _document_schema(PlanDocument),
-        _document_schema(ReadingPlanDocument),
-    )
+    record_schema = _document_schema(PlanDocument)
+    reading_schema = _document_schema(ReadingPlanDocument)
     definitions = record_schema.pop("$defs") | reading_schema.pop("$defs")
     return {
         "description": "Objective and limits of a plan.",
@@ -98,11 +96,9 @@ def collect_models(model: type) -> dict[str, type]:
     models, pending_models = {model.__name__: model}, [model]
     while pending_models:
         for hint in field_types(pending_models.pop()).values():
-            new_models = {
-                nested_model.__name__: nested_model for nested_model in iterate_models(hint)
-            }
+            new_models = {child_model.__name__: child_model for child_model in iterate_models(hint)}
             pending_models += [
-                nested_model for name, nested_model in new_models.items() if name not in models
+                child_model for name, child_model in new_models.items() if name not in models
             ]
             models |= new_models
     return models
@@ -136,11 +132,9 @@ def field_comments(model: type) -> dict[str, str]:
     None in Python is null in JSON.
     """
     comments: dict[str, str] = {}
-    for base_class in reversed(model.__mro__):
-        if base_class.__module__.startswith("counterspin."):
-            comments |= _parse_comments(
-                inspect.getsource(base_class), set(base_class.__annotations__)
-            )
+    for base in reversed(model.__mro__):
+        if base.__module__.startswith("counterspin."):
+            comments |= _parse_comments(inspect.getsource(base), set(base.__annotations__))
     return {key: comment for key, comment in comments.items() if key in field_types(model)}
 
 

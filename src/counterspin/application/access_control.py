@@ -174,9 +174,7 @@ class AccessControl:
             await send(message)
 
         is_authorized = self._credentials.is_authorized(Headers(scope=scope))
-        max_bytes = (
-            _max_request_bytes(scope["path"]) if is_authorized else UNAUTHENTICATED_MAX_BYTES
-        )
+        max_bytes = _max_bytes(scope["path"]) if is_authorized else UNAUTHENTICATED_MAX_BYTES
         first_refusal = next(
             self._refusals(scope, is_authorized=is_authorized, max_bytes=max_bytes), None
         )
@@ -277,7 +275,7 @@ class _RequestTimeoutError(Exception):
     """The error for a request whose body does not arrive in time."""
 
 
-def _max_request_bytes(path: str) -> int:
+def _max_bytes(path: str) -> int:
     return FILE_MAX_BYTES if path == FILES_PATH else FORM_MAX_BYTES
 
 

@@ -66,14 +66,12 @@ def open_upload(app: AppState, name: str) -> Upload:
     make_folder(path.parent)
     cleanup = ExitStack()
     try:
-        temporary_path = (
-            cleanup.enter_context(temporary_folder(_UPLOAD_PREFIX, path.parent)) / "part"
-        )
-        temporary_path.touch()
+        part_path = cleanup.enter_context(temporary_folder(_UPLOAD_PREFIX, path.parent)) / "part"
+        part_path.touch()
     except OSError as error:
         cleanup.close()
         raise WriteError(f"{name} cannot be written ({error.strerror})") from error
-    return Upload(path, temporary_path, cleanup, folders)
+    return Upload(path, part_path, cleanup, folders)
 
 
 def complete_upload(app: AppState, upload: Upload) -> StoredFile:
@@ -213,10 +211,8 @@ def add_records(app: AppState, name: str, files: list[str]) -> AddedRuns:
         )
     known_records = {(description.parent / str(run.get("record"))).resolve() for run in runs}
     new_files = [file for file in map(app.file, files) if file.resolve() not in known_records]
-    text, new_runs = (
-        description_text.text,
-        draft_further_runs(new_files, document, description.parent) if new_files else [],
-    )
+    text = description_text.text
+    new_runs = draft_further_runs(new_files, document, description.parent) if new_files else []
     for index, run in enumerate(new_runs, len(runs)):
         text = set_value(text, ["runs", index], run)
     if new_runs:

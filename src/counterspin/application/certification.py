@@ -62,12 +62,10 @@ class Signing(BaseModel):
                     "This server was started without a signing command; use a key file."
                 )
             return replace(app.signer, sign=partial(_sign_without_drawing_lock, app))
-        certificate_material = (
-            None if self.certificate is None else self.certificate.to_key_material()
-        )
+        material = None if self.certificate is None else self.certificate.to_key_material()
         password = None if self.password is None else self.password.get_secret_value() or None
         try:
-            return read_signer(self.key.to_key_material(), certificate_material, password)
+            return read_signer(self.key.to_key_material(), material, password)
         except PasswordNeededError as error:
             raise CounterspinError(
                 f"{self.key.name} is encrypted; enter the password", code="password-needed"

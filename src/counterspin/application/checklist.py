@@ -19,12 +19,10 @@ def _iterate_entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
         yield _prior_entry(campaign, key, symbol)
     if campaign.runs:
         is_noise_stated = campaign.noise is not None
-        noise_effect = (
-            "stated (Type B)" if is_noise_stated else "estimated from the residuals (Type A)"
-        )
-        yield {"words": "Noise", "stated": is_noise_stated, "effect": noise_effect, "key": "noise"}
+        effect = "stated (Type B)" if is_noise_stated else "estimated from the residuals (Type A)"
+        yield {"words": "Noise", "stated": is_noise_stated, "effect": effect, "key": "noise"}
     names_without_serial = [n for n, a in campaign.accelerometers.items() if not a.serial_number]
-    noise_effect = (
+    effect = (
         f"not stated for {', '.join(names_without_serial)}; the history and the certificate "
         "require this value"
     )
@@ -32,27 +30,25 @@ def _iterate_entries(campaign: Campaign) -> Iterator[ChecklistEntry]:
     yield {
         "words": "Serial number",
         "stated": not names_without_serial,
-        "effect": noise_effect if names_without_serial else "stated",
+        "effect": effect if names_without_serial else "stated",
         "key": f"accelerometers.{first_name}.serial_number",
     }
     has_date = "date" in campaign.details
-    noise_effect = "stated" if has_date else "not stated; the history requires this value"
-    yield {"words": "Date", "stated": has_date, "effect": noise_effect, "key": "campaign.date"}
+    effect = "stated" if has_date else "not stated; the history requires this value"
+    yield {"words": "Date", "stated": has_date, "effect": effect, "key": "campaign.date"}
 
 
 def _prior_entry(campaign: Campaign, key: str, symbol: str) -> ChecklistEntry:
     """Return the entry of the prior of a coefficient."""
-    names_without_prior = [n for n, a in campaign.accelerometers.items() if symbol not in a.priors]
-    owner = next(iter([*names_without_prior, *campaign.accelerometers]), "")
+    unstated_names = [n for n, a in campaign.accelerometers.items() if symbol not in a.priors]
+    owner = next(iter([*unstated_names, *campaign.accelerometers]), "")
     effect = "stated prior (Type B)"
-    if names_without_prior:
-        effect = (
-            f"not stated for {', '.join(names_without_prior)}; the data alone determine the value"
-        )
+    if unstated_names:
+        effect = f"not stated for {', '.join(unstated_names)}; the data alone determine the value"
     description = TERMS[symbol].words
     return {
         "words": f"{description[:1].upper()}{description[1:]}",
-        "stated": not names_without_prior,
+        "stated": not unstated_names,
         "effect": effect,
         "key": f"accelerometers.{owner}.{key}",
     }

@@ -199,10 +199,8 @@ def make_detrended_curve(column: FileColumn, file_guess: FileGuess | None) -> Cu
                 "" if n_rows >= len(values) else f", first {_N_CURVE_REVOLUTIONS:g} revolutions"
             )
             revolutions = _N_CURVE_REVOLUTIONS if n_rows < len(values) else 0.0
-            values, rows_text = (
-                _detrend(values[:n_rows], degree, revolutions),
-                f"{trend_name} removed{rows_remark}",
-            )
+            values = _detrend(values[:n_rows], degree, revolutions)
+            rows_text = f"{trend_name} removed{rows_remark}"
             unit = signal.unit or ""
     extent, half_range = _find_extrema(values)
     return {"extent": extent, "words": rows_text, "size": half_range, "unit": unit}
@@ -256,16 +254,14 @@ def _detrend(values: Array, degree: int, revolutions: float = 0.0) -> Array:
         not subtracted; 0: no sinusoid.
     """
     is_finite = np.isfinite(values)
-    polynomial_columns = np.vander(np.linspace(-1.0, 1.0, len(values)), degree + 1)
+    polynomials = np.vander(np.linspace(-1.0, 1.0, len(values)), degree + 1)
     phase = np.linspace(0.0, 2.0 * np.pi * revolutions, len(values))
-    harmonic_columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-    columns = (
-        np.hstack([polynomial_columns, harmonic_columns]) if revolutions else polynomial_columns
-    )
+    harmonics = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    columns = np.hstack([polynomials, harmonics]) if revolutions else polynomials
     if is_finite.sum() <= columns.shape[1]:
         return values
     coefficients = np.linalg.lstsq(columns[is_finite], values[is_finite], rcond=None)[0]
-    return np.asarray(values - polynomial_columns @ coefficients[: degree + 1], dtype=float)
+    return np.asarray(values - polynomials @ coefficients[: degree + 1], dtype=float)
 
 
 def _find_extrema(values: Array) -> tuple[list[tuple[float, float] | None], float]:

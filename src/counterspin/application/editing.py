@@ -162,15 +162,13 @@ def set_value(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
         changed_text = tomlkit.dumps(document)
         is_as_expected = parse_toml(changed_text) == expected_document
     except (TOMLKitError, LookupError, TypeError, ValueError, AttributeError) as error:
-        raise RequestError(_CANNOT_EDIT_MESSAGE) from error
+        raise RequestError(_NOT_EDITABLE) from error
     if not is_as_expected:
-        raise RequestError(_CANNOT_EDIT_MESSAGE)
+        raise RequestError(_NOT_EDITABLE)
     return changed_text
 
 
-_CANNOT_EDIT_MESSAGE: Final = (
-    "This value cannot be edited in the form. Edit the file as text instead."
-)
+_NOT_EDITABLE: Final = "This value cannot be edited in the form. Edit the file as text instead."
 
 
 def _make_expected_document(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:

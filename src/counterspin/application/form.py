@@ -76,15 +76,15 @@ def campaign_form() -> tuple[FormSection, ...]:
     for key, model in SECTION_MODELS.items():
         section = _make_section(key, model, "campaign")
         if key == "runs":
-            section["fields"] = _make_table_fields(model, "campaign", READINGS)
-            section["reading_fields"] = _make_table_fields(model, "campaign", RECORDS)
+            section["fields"] = _make_fields(model, "campaign", READINGS)
+            section["reading_fields"] = _make_fields(model, "campaign", RECORDS)
         if key == "specification":
             section["name_fields"] = _make_tolerance_fields()
             section["fields"] = section["name_fields"] + section["fields"]
         if key == "truth":
-            section["fields"] = _make_table_fields(AccelerometerTruthSettings, "campaign")
+            section["fields"] = _make_fields(AccelerometerTruthSettings, "campaign")
             section["table_fields"] = {
-                name: _make_table_fields(model, "campaign") for name, model in TRUE_TABLES.items()
+                name: _make_fields(model, "campaign") for name, model in TRUE_TABLES.items()
             }
         sections.append(section)
     return tuple(sections)
@@ -163,13 +163,11 @@ def _make_section(key: str, model: type[BaseModel], page: str) -> FormSection:
         "words": (description[:1].upper() + description[1:]).replace("`", ""),
         "explained": find_page_of_model(model) or page,
         "repeat": _REPEATED_SECTIONS.get(key),
-        "fields": _make_table_fields(model, page),
+        "fields": _make_fields(model, page),
     }
 
 
-def _make_table_fields(
-    model: type[BaseModel], page: str, excluded_method: str = ""
-) -> list[FormField]:
+def _make_fields(model: type[BaseModel], page: str, excluded_method: str = "") -> list[FormField]:
     """Return the fields of a table, except those for `excluded_method` only."""
     page = (find_page_of_model(model) or page).partition("#")[0]
     return [
@@ -182,15 +180,13 @@ def _make_table_fields(
 def _make_field(key: str, field: FieldInfo, page: str) -> FormField:
     base_type, metadata = _unwrap_annotation(field.annotation, field.metadata)
     field_options = field_extra(field)
-    default_text = field_options.get("x-absent")
+    default = field_options.get("x-absent")
     meaning = (
         ""
         if key in ACCELEROMETER_TERMS
         else (field.description or "").removesuffix("; see the following table")
     )
-    help_text = "; ".join(
-        filter(None, [meaning, f"default: {default_text}" if default_text else ""])
-    )
+    help_text = "; ".join(filter(None, [meaning, f"default: {default}" if default else ""]))
     form_field: FormField = {
         "key": key,
         "label": field_options.get("x-label") or _key_label(key),
@@ -280,24 +276,22 @@ def _describe_input(base_type: Any, metadata: Sequence[Any], page: str) -> dict[
     value_parsers = [item for item in metadata if isinstance(item, PlainValidator)]
     if value_parsers:
         value_parser, input_type = value_parsers[0].func, value_parsers[0].json_schema_input_type
-        input_fields: dict[str, Any] = {
-            "kind": "number" if _is_number(input_type, base_type) else "text"
-        }
+        fields: dict[str, Any] = {"kind": "number" if _is_number(input_type, base_type) else "text"}
         if isinstance(value_parser, partial):
             units = expected_quantity(value_parser.args[0])[1].split(", ")
-            input_fields = {"kind": "quantity", "unit": value_parser.args[0], "units": units}
+            fields = {"kind": "quantity", "unit": value_parser.args[0], "units": units}
         elif value_parser in (parse_temperature, parse_temperatures):
-            input_fields = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
+            fields = {"kind": "quantity", "unit": "K", "units": ["degC", "K"]}
         elif value_parser is parse_celsius:
-            input_fields = {"kind": "quantity", "unit": "degC", "units": ["degC"]}
+            fields = {"kind": "quantity", "unit": "degC", "units": ["degC"]}
         suggestions = [
             choice
             for alternative in _alternatives(input_type)
             for choice in _literal_choices(alternative)
         ]
-        return input_fields | ({"suggestions": suggestions} if suggestions else {})
+        return fields | ({"suggestions": suggestions} if suggestions else {})
     if isinstance(base_type, type) and issubclass(base_type, BaseModel):
-        return {"kind": "group", "fields": _make_table_fields(base_type, page)}
+        return {"kind": "group", "fields": _make_fields(base_type, page)}
     checks = [item.func for item in metadata if isinstance(item, AfterValidator)]
     unit_choices = next((choices for check in checks if (choices := _accepted_units(check))), ())
     if unit_choices:

@@ -71,11 +71,9 @@ def render_draft(app: AppState, file: str, text: str, result: str) -> Certificat
 
     file: File of the laboratory data; the path of the logo is relative to its folder.
     """
-    calibration, document, folder = (
-        app.result(result),
-        parse_text(text),
-        app.folder.path(file).parent,
-    )
+    calibration = app.result(result)
+    document = parse_text(text)
+    folder = app.folder.path(file).parent
     app.require_inside(folder, document)
     with app.drawing:
         return {"pages": draft_pages(calibration, document, folder)}
@@ -88,10 +86,10 @@ def save_profile(app: AppState, file: str, text: str) -> ProfileFile:
     profile: dict[str, Any] = {
         key: value
         for key in _PROFILE_SECTIONS
-        if (value := _remove_template_values(document.get(key), (key,)))
+        if (value := _strip_template(document.get(key), (key,)))
     }
     settings = table_of(document, "certificate")
-    profile["certificate"] = _remove_template_values(
+    profile["certificate"] = _strip_template(
         {key: settings[key] for key in _PROFILE_KEYS if key in settings}, ("certificate",)
     )
     _rebase_logo_path(profile, folder, app.folder.root)
@@ -142,15 +140,13 @@ def _read_profile(app: AppState) -> Mapping[str, Any]:
     return parse_text(app.folder.read(PROFILE_NAME).text, PROFILE_NAME)
 
 
-def _remove_template_values(value: Any, path: KeyPath) -> Any:
+def _strip_template(value: Any, path: KeyPath) -> Any:
     """Return a value without values of the template."""
     if isinstance(value, dict):
-        stated_values = {
-            key: _remove_template_values(item, (*path, key)) for key, item in value.items()
-        }
+        stated_values = {key: _strip_template(item, (*path, key)) for key, item in value.items()}
         return {key: item for key, item in stated_values.items() if item not in (None, {}, [])}
     if isinstance(value, list):
-        stated_items = [_remove_template_values(item, path) for item in value]
+        stated_items = [_strip_template(item, path) for item in value]
         return [item for item in stated_items if item not in (None, {}, [])]
     return None if is_template_value(path, value) else value
 

@@ -62,10 +62,7 @@ MANUAL_PAGES: Final = (
 
 _PACKAGE_FOLDER: Final = Path(__file__).parent
 #: Next to this file in a built package; docs/ in a checkout.
-_DOCUMENTATION_FOLDERS: Final = (
-    _PACKAGE_FOLDER / "documentation",
-    _PACKAGE_FOLDER.parents[2] / "docs",
-)
+_DOCS_FOLDERS: Final = (_PACKAGE_FOLDER / "documentation", _PACKAGE_FOLDER.parents[2] / "docs")
 
 _HEADING_OR_KEY_TABLE: Final = re.compile(
     r"^(?:#+ (?P<heading>.*)|<!-- keys: (?P<model>\w+) -->)$", re.MULTILINE
@@ -85,7 +82,7 @@ def _read_page_texts() -> Mapping[str, str]:
     folder = next(
         (
             candidate
-            for candidate in _DOCUMENTATION_FOLDERS
+            for candidate in _DOCS_FOLDERS
             if (candidate / f"{MANUAL_PAGES[0]}.md").is_file()
         ),
         None,

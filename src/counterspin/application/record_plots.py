@@ -76,7 +76,7 @@ def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> Re
     campaign, run_description = _find_run(app, name, run)
     try:
         record = (
-            get_fitted_run(app, name, run) if fit else _get_cached_record(campaign, run_description)
+            get_fitted_run(app, name, run) if fit else _cached_record(campaign, run_description)
         )
     except NotFoundError:
         return {"overview": None}
@@ -112,9 +112,7 @@ def record_window(
     low, high: First and last time, s.
     fit: As in `record_overview`.
     """
-    record = (
-        get_fitted_run(app, name, run) if fit else _get_cached_record(*_find_run(app, name, run))
-    )
+    record = get_fitted_run(app, name, run) if fit else _cached_record(*_find_run(app, name, run))
     # Include one more row on either side, so that lines continue to the edges of the window.
     start = max(int(np.searchsorted(record.time, low)) - 1, 0)
     stop = int(np.searchsorted(record.time, high, side="right")) + 1
@@ -137,10 +135,8 @@ def segment_extrema(values: Array, edges: np.ndarray) -> Array:
     edges: Start indices of the segments, and end of the last; increasing; shape (m + 1,).
     """
     segment_values, starts = values[: edges[-1]], edges[:-1]
-    minimum, maximum = (
-        np.fmin.reduceat(segment_values, starts),
-        np.fmax.reduceat(segment_values, starts),
-    )
+    minimum = np.fmin.reduceat(segment_values, starts)
+    maximum = np.fmax.reduceat(segment_values, starts)
     return np.stack([minimum, maximum], axis=1)
 
 
@@ -165,7 +161,7 @@ def _find_run(app: AppState, name: str, run: str) -> tuple[Campaign, Run]:
     raise NotFoundError(f"{name}: run {run!r} does not exist, or it has no record")
 
 
-def _get_cached_record(campaign: Campaign, run: Run) -> PlotColumns:
+def _cached_record(campaign: Campaign, run: Run) -> PlotColumns:
     files = [campaign.path, run.record]
     return _RECORD_CACHE.get((campaign.path, run.name), files, lambda: _read_record(campaign, run))
 

@@ -302,10 +302,8 @@ def serve(
             browser_timer.daemon = True
             browser_timer.start()
         end_event = threading.Event()
-        preload_thread = threading.Thread(
-            target=_preload_modules, args=(app, end_event), daemon=True
-        )
-        preload_thread.start()
+        thread = threading.Thread(target=_preload_modules, args=(app, end_event), daemon=True)
+        thread.start()
         # uvicorn raises the signal again at its end, but temporary files must be removed first.
         previous_handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
@@ -315,7 +313,7 @@ def serve(
             signal.signal(signal.SIGTERM, previous_handler)
             # Python aborts if it ends during the import of a C++ library.
             end_event.set()
-            preload_thread.join(_LOADING_TIMEOUT)
+            thread.join(_LOADING_TIMEOUT)
     print_line("Server stopped.")
 
 

@@ -129,10 +129,8 @@ def _prior_improvements(result: Result, owner: str) -> Iterator[PriorImprovement
     if accelerometer_result.what_if is None or not _requested_symbol(accelerometer_result):
         return
     symbol, update = _require_update(accelerometer_result)
-    unit, lines = (
-        accelerometer_result.coefficients[symbol].unit,
-        accelerometer_result.budget[symbol],
-    )
+    unit = accelerometer_result.coefficients[symbol].unit
+    lines = accelerometer_result.budget[symbol]
     current_u = update.u(symbol, {})
     remaining_u_by_source = {}
     for line in lines:
@@ -144,10 +142,8 @@ def _prior_improvements(result: Result, owner: str) -> Iterator[PriorImprovement
     for source in sorted(remaining_u_by_source, key=lambda name: remaining_u_by_source[name]):
         if remaining_u_by_source[source] > _MAX_REMAINING_FRACTION * current_u:
             return
-        improved_u, source_unit = (
-            IMPROVEMENT_FACTOR * update.known[source],
-            term(find_symbol(source)).unit,
-        )
+        improved_u = IMPROVEMENT_FACTOR * update.known[source]
+        source_unit = term(find_symbol(source)).unit
         yield {
             "symbol": symbol,
             "source": source,
@@ -182,14 +178,12 @@ def begin_search(app: AppState, name: str) -> JobEntry:
     """Start a search for helpful runs in another attitude; return the job."""
     path = app.description_path(name)
     campaign = app.campaign(name)
-    _, store_in_cache = app.cache.lookup(
-        ("ways", path), [path, *(run.record for run in campaign.runs)]
-    )
+    _, store = app.cache.lookup(("ways", path), [path, *(run.record for run in campaign.runs)])
 
     def make_job(number: int) -> Job:
         return Job(number, name, "", forecast_command(path.parent), "forecast")
 
-    return app.jobs.begin(make_job, run_search, path, on_done=store_in_cache).to_dict()
+    return app.jobs.begin(make_job, run_search, path, on_done=store).to_dict()
 
 
 def run_search(connection: Connection, campaign: Path) -> None:
@@ -270,10 +264,8 @@ def _find_best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str
         raise NotFoundError(
             f"{accelerometer}: specifying a single quantity more accurately would not reduce u"
         )
-    source, (_, update) = (
-        improvement["source"],
-        _require_update(_require_accelerometer(result, accelerometer)),
-    )
+    source = improvement["source"]
+    (_, update) = _require_update(_require_accelerometer(result, accelerometer))
     symbol = find_symbol(source)
     row = term(symbol)
     key = f"{accelerometer}.{source}" if symbol in ACCELEROMETER_TERMS else symbol

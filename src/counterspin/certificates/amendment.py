@@ -178,10 +178,8 @@ def verify_amendment(new_document: bytes, old_path: Path, source: str) -> str:
             "amended",
             code="wrong-amendment",
         )
-    old_certificate, new_certificate = (
-        read_certificate(old_document, str(old_path)),
-        read_certificate(new_document, source),
-    )
+    old_certificate = read_certificate(old_document, str(old_path))
+    new_certificate = read_certificate(new_document, source)
     if any(
         _is_same_identifier(new_certificate.identifier, identifier)
         for identifier in (old_certificate.identifier, *old_certificate.replaced_identifiers)
@@ -245,11 +243,9 @@ def _text_changes(old_root: Element, new_root: Element) -> Iterator[str]:
 
 
 def _statement_texts(root: Element) -> dict[str, str]:
-    statement_elements = _select_elements(
-        root, f"{_ADMINISTRATIVE_PATH}/dcc:statements/dcc:statement"
-    )
+    statements = _select_elements(root, f"{_ADMINISTRATIVE_PATH}/dcc:statements/dcc:statement")
     text_by_name: dict[str, str] = {}
-    for statement in statement_elements:
+    for statement in statements:
         name = " ".join(statement[0].itertext()).strip()
         if name != "Amendment":
             text_by_name[name] = text_by_name.get(name, "") + _element_text(statement)

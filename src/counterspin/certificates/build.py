@@ -73,12 +73,10 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
         )
     if (refusal_text := refusal_reason(judge_result(result), names)) is not None:
         raise RecordError(refusal_text, code="contradicted")
-    coefficients_by_accelerometer = (
-        result.accelerometers[name].coefficients.values() for name in names
-    )
+    coefficient_sets = (result.accelerometers[name].coefficients.values() for name in names)
     if not any(
         certificate_text.is_determined(coefficient)
-        for coefficients in coefficients_by_accelerometer
+        for coefficients in coefficient_sets
         for coefficient in coefficients
     ):
         raise RecordError(
@@ -137,12 +135,8 @@ def render_extension(template: str, **context: Any) -> Element:
     """
     base_template = _load_template()
     extension = base_template.environment.from_string(template)
-    shared_context = {
-        "version": __version__,
-        "schema_version": SCHEMA_VERSION,
-        "namespaces": NAMESPACES,
-    }
-    return _parse_rendered(extension.render(base=base_template, **shared_context, **context))
+    constants = {"version": __version__, "schema_version": SCHEMA_VERSION, "namespaces": NAMESPACES}
+    return _parse_rendered(extension.render(base=base_template, **constants, **context))
 
 
 def _parse_rendered(xml_text: str) -> Element:

@@ -121,7 +121,7 @@ _GRAVITY_PATH: Final = (
     "dcc:measurementResults//dcc:influenceConditions/dcc:influenceCondition"
     "[dcc:name/dcc:content='Local gravity']/dcc:data/dcc:quantity/si:real/si:value"
 )
-_REPLACED_IDENTIFIER_PATH: Final = (
+_REPLACED_ID_PATH: Final = (
     "dcc:administrativeData/dcc:coreData/dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"
 )
 _AMENDMENT_REASON_PATH: Final = (
@@ -134,9 +134,7 @@ _EXPANDED_U_PATH: Final = "si:measurementUncertaintyUnivariate/si:expandedMU"
 _COVERAGE_REGION_PATH: Final = (
     "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList"
 )
-_COVARIANCE_COLUMN_PATH: Final = (
-    f"{_COVERAGE_REGION_PATH}/si:covarianceMatrixXMLList/si:columnXMLList"
-)
+_COLUMN_PATH: Final = f"{_COVERAGE_REGION_PATH}/si:covarianceMatrixXMLList/si:columnXMLList"
 _DOF_PATH: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value"
 
 #: XPaths of the result of a triad, the corrected output and the parameters.
@@ -213,10 +211,7 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
                 if element.get("refId")
             },
             amended_identifier=next(
-                (
-                    _element_text(element)
-                    for element in _select_elements(root, _REPLACED_IDENTIFIER_PATH)
-                ),
+                (_element_text(element) for element in _select_elements(root, _REPLACED_ID_PATH)),
                 None,
             ),
             triad=next(
@@ -234,9 +229,7 @@ def read_certificate(document: bytes, source: str) -> CertificateNumbers:
 
 def _replaced_identifiers(root: Element) -> Iterator[str]:
     """Yield the identifiers of the replaced certificate and of earlier ones, newest first."""
-    yield from (
-        _element_text(element) for element in _select_elements(root, _REPLACED_IDENTIFIER_PATH)
-    )
+    yield from (_element_text(element) for element in _select_elements(root, _REPLACED_ID_PATH))
     for element in _select_elements(root, _AMENDMENT_REASON_PATH):
         lines = _element_text(element).splitlines()
         yield from (
@@ -317,20 +310,18 @@ def _read_quantities(quantities: Sequence[Element], gravity: float) -> Certified
     return CertifiedAccelerometer(coefficients, terms, covariance)
 
 
-def _read_coefficient(quantity: Element, real_element: Element, gravity: float) -> Coefficient:
-    unit = _label_unit(_single_text(real_element, "si:label"))
+def _read_coefficient(quantity: Element, element: Element, gravity: float) -> Coefficient:
+    unit = _label_unit(_single_text(element, "si:label"))
     u = None
-    if _select_elements(real_element, _EXPANDED_U_PATH):
-        expanded_u = _parse_number(
-            _single_text(real_element, f"{_EXPANDED_U_PATH}/si:valueExpandedMU")
-        )
-        k = _parse_number(_single_text(real_element, f"{_EXPANDED_U_PATH}/si:coverageFactor"))
+    if _select_elements(element, _EXPANDED_U_PATH):
+        expanded_u = _parse_number(_single_text(element, f"{_EXPANDED_U_PATH}/si:valueExpandedMU"))
+        k = _parse_number(_single_text(element, f"{_EXPANDED_U_PATH}/si:coverageFactor"))
         if expanded_u < 0.0 or k <= 0.0:
             raise ValueError("an expanded uncertainty or its coverage factor is negative")
         u = from_si(expanded_u / k, unit, gravity)
     dof_elements = _select_elements(quantity, _DOF_PATH)
     return Coefficient(
-        value=from_si(_parse_number(_single_text(real_element, "si:value")), unit, gravity),
+        value=from_si(_parse_number(_single_text(element, "si:value")), unit, gravity),
         u=u,
         dof=_parse_number(_element_text(dof_elements[0])) if dof_elements else None,
         unit=unit,
@@ -347,7 +338,7 @@ def _read_covariance(
                 _parse_number(_element_text(value))
                 for value in _select_elements(column, "si:covarianceXMLList/si:valueXMLList")
             ]
-            for column in _select_elements(covariance_element, _COVARIANCE_COLUMN_PATH)
+            for column in _select_elements(covariance_element, _COLUMN_PATH)
         ]
     ).T
     unit_factors = np.array([from_si(1.0, _label_unit(symbol), gravity) for symbol in terms])
@@ -383,9 +374,7 @@ def _parse_number(text: str) -> float:
 
 
 def _parse_numbers(element: Element, path: str) -> npt.NDArray[np.float64]:
-    return np.array(
-        [_parse_number(number_text) for number_text in _single_text(element, path).split()]
-    )
+    return np.array([_parse_number(text) for text in _single_text(element, path).split()])
 
 
 def _select_elements(element: Element, path: str, **variables: str) -> list[Any]:

@@ -236,21 +236,15 @@ def prior_lines(name: str, result: Result, settings: CertificateSettings) -> lis
         for line in lines
         if line.kind in ("stated", "held")
     }
-    customer_words = {
-        word for entry in settings.customer_data for word in re.findall(r"[\w.]+", entry)
-    }
+    words = {word for entry in settings.customer_data for word in re.findall(r"[\w.]+", entry)}
     sentences = []
     for symbol, line in lines.items():
         unit, scale = find_display_unit(line.unit)
-        uncertainty_text = ""
+        u_text = ""
         if line.u:
-            uncertainty_text = f", standard uncertainty {format_uncertainty(line.u * scale)} {unit}"
-        supplier_text = (
-            ", supplied by the customer" if symbol.rpartition(" ")[2] in customer_words else ""
-        )
-        sentences.append(
-            f"Prior for {name}: {describe_source(symbol)}{uncertainty_text}{supplier_text}."
-        )
+            u_text = f", standard uncertainty {format_uncertainty(line.u * scale)} {unit}"
+        supplier_text = ", supplied by the customer" if symbol.rpartition(" ")[2] in words else ""
+        sentences.append(f"Prior for {name}: {describe_source(symbol)}{u_text}{supplier_text}.")
     return sentences
 
 
@@ -279,10 +273,8 @@ def assumption_lines(name: str, result: Result) -> list[str]:
 def _default_reference(source: str, u: float) -> str:
     """Return the reference of a default uncertainty; empty if the campaign states it."""
     table_row = TABLE.get(find_symbol(source))
-    default_priors = [] if table_row is None else [table_row.sizes(grade) for grade in GRADES]
-    return next(
-        (f" ({prior.source})" for prior in default_priors if math.isclose(prior.typical, u)), ""
-    )
+    priors = [] if table_row is None else [table_row.sizes(grade) for grade in GRADES]
+    return next((f" ({prior.source})" for prior in priors if math.isclose(prior.typical, u)), "")
 
 
 def seal_lines(result: Result, acceptance_reason: str | None) -> list[str]:

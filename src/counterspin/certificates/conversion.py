@@ -261,12 +261,10 @@ def triad_output_lines(result: Result, triad: TriadResult) -> list[str]:
     divisor_text = f" ({nominal_text})" if nominal_text else ""
     names = ", ".join(triad.accelerometers)
     other_terms = [name for name in triad.parameters if name.split(".")[0] in triad.accelerometers]
-    subtraction_text = (
-        f", minus the contributions of {', '.join(other_terms)}" if other_terms else ""
-    )
+    minus_text = f", minus the contributions of {', '.join(other_terms)}" if other_terms else ""
     return [
         f"Corrected output: f = M (y - b). Here, y are the indications of {names} divided by "
-        f"their nominal sensitivities{divisor_text}{subtraction_text}, and b are the offsets. "
+        f"their nominal sensitivities{divisor_text}{minus_text}, and b are the offsets. "
         "The components of f are along the axes x, y, z in which the campaign states the "
         "directions of the accelerometers: east, north and up while the sensor is level. "
         "Misalignments that are not listed above have their stated values or, without a stated "
@@ -389,11 +387,9 @@ def cmc_lines(result: Result, certified_result: Result, lab: Lab) -> list[str]:
     for description, coefficient, certified_coefficient in compared_values:
         if coefficient.u and certified_coefficient.u and certified_coefficient.u > coefficient.u:
             unit, factor = find_display_unit(coefficient.unit)
-            evaluated_text = format_uncertainty(
-                coverage_factor(coefficient.dof) * coefficient.u * factor
-            )
+            u_text = format_uncertainty(coverage_factor(coefficient.dof) * coefficient.u * factor)
             lines.append(
-                f"{description}: the evaluated uncertainty is U = {evaluated_text} {unit}. The "
+                f"{description}: the evaluated uncertainty is U = {u_text} {unit}. The "
                 "certificate states the calibration and measurement capability instead, "
                 "because this is the smallest uncertainty that the laboratory may state."
             )

@@ -177,10 +177,8 @@ class Certificate:
 
     def _staged_pdf_path(self, pdf: Path, xml: bytes | None) -> Path:
         """Return the staging path of a PDF; a pattern for any XML if `xml` is None."""
-        identifier_hash = sha256_hex(self.identifier.encode("utf-8", "surrogatepass"))[:16]
-        return (
-            pdf.resolve().parent / f".{identifier_hash}-{sha256_hex(xml)[:16] if xml else '*'}.pdf"
-        )
+        id_hash = sha256_hex(self.identifier.encode("utf-8", "surrogatepass"))[:16]
+        return pdf.resolve().parent / f".{id_hash}-{sha256_hex(xml)[:16] if xml else '*'}.pdf"
 
     def _write(
         self, path: Path, content: bytes, ledger: Path | None, entry: Mapping[str, str]

@@ -440,10 +440,8 @@ def _check_terms(
 def _check_accelerometers(document: Mapping[str, Any], result: Result, problems: Problems) -> None:
     """Add names that are not in the result, and contradictory serial numbers, to the problems."""
     result_names = result.accelerometers
-    settings, accelerometer_tables = (
-        table_of(document, "certificate"),
-        table_of(document, "accelerometers"),
-    )
+    settings = table_of(document, "certificate")
+    accelerometer_tables = table_of(document, "accelerometers")
     selected_names = settings.get("accelerometers")
     if selected_names == []:
         problems.add(

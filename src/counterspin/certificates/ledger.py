@@ -339,11 +339,7 @@ def record_result(ledger: Path, file: Path, *, who: str, why: str, date: datetim
 
 
 def record_certificate(
-    ledger_path: Path,
-    path: Path,
-    file_content: bytes,
-    subject: Mapping[str, str],
-    details: IssueDetails,
+    ledger_path: Path, path: Path, content: bytes, subject: Mapping[str, str], details: IssueDetails
 ) -> Entry | None:
     """Append the entry of a certificate or amendment, then publish its file.
 
@@ -352,9 +348,9 @@ def record_certificate(
     checksum. If the process is interrupted after the entry, the same command publishes the file.
 
     Returns: Entry of an interrupted command, whose staged certificate is published instead of
-        `file_content`; otherwise None.
+        `content`; otherwise None.
     """
-    checksum = sha256_hex(file_content)
+    checksum = sha256_hex(content)
     with open_ledger(ledger_path) as ledger:
         check_writable(path)
         earlier_entries = [
@@ -375,9 +371,7 @@ def record_certificate(
             )
         _check_amended_entry(ledger, ledger_path, subject)
         staging_path = _staging_path(path, checksum)
-        write_atomically(
-            staging_path, lambda path: _write_to_disk(path, file_content), overwrite=True
-        )
+        write_atomically(staging_path, lambda path: _write_to_disk(path, content), overwrite=True)
         recorded_files = {
             (entry.subject.get("file"), entry.subject.get("file_sha256"))
             for entry in earlier_entries

@@ -22,7 +22,7 @@ _SVG_NAMESPACE: Final = "{http://www.w3.org/2000/svg}"
 #: Elements that run code or load other files.
 _FORBIDDEN_TAGS: Final = frozenset({"script", "foreignObject", "image", "feImage", "use"})
 #: A reference to another file in a style.
-_FILE_REFERENCE_PATTERN: Final = re.compile(r"@import|url\(\s*['\"]?(?!#)", re.IGNORECASE)
+_FILE_REFERENCE: Final = re.compile(r"@import|url\(\s*['\"]?(?!#)", re.IGNORECASE)
 
 
 def read_logo(folder: Path, name: str) -> bytes:
@@ -71,8 +71,6 @@ def _forbidden_content(element: Any) -> str:
             return f"an attribute {attribute}"
         if attribute == "href" and not value.startswith("#"):
             return "a link to another file"
-        if _FILE_REFERENCE_PATTERN.search(value):
+        if _FILE_REFERENCE.search(value):
             return "a reference to another file"
-    return (
-        "a reference to another file" if _FILE_REFERENCE_PATTERN.search(element.text or "") else ""
-    )
+    return "a reference to another file" if _FILE_REFERENCE.search(element.text or "") else ""

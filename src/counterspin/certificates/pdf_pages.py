@@ -200,12 +200,10 @@ def _result_blocks(lab: Lab, result: Result, certified_result: Result) -> Iterat
     if paragraphs:
         yield Heading(certificate_text.BASIS_HEADING, 3)
     yield from paragraphs
-    prior_statements = (
+    statements = (
         line for name in names for line in certificate_text.prior_lines(name, result, settings)
     )
-    yield from section_blocks(
-        certificate_text.PRIOR_INFORMATION_HEADING, *map(typeset, prior_statements)
-    )
+    yield from section_blocks(certificate_text.PRIOR_INFORMATION_HEADING, *map(typeset, statements))
     yield from section_blocks(
         certificate_text.FIXED_TERMS_HEADING, *evidence_lines(result.assumed, lab.evidence)
     )

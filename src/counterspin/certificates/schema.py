@@ -120,12 +120,10 @@ def _find_main_file(schema: Path) -> Path:
         return schema
     if not schema.is_dir():
         raise CounterspinError(f"{schema}: file not found", code="file-not-found")
-    schema_files = [
-        path for path in _schema_files(schema) if _target_namespace(path) == DCC_NAMESPACE
-    ]
-    if len(schema_files) == 1:
-        return schema_files[0]
-    problem = "several DCC schemas; name one of them" if schema_files else "no DCC schema (dcc.xsd)"
+    dcc_files = [path for path in _schema_files(schema) if _target_namespace(path) == DCC_NAMESPACE]
+    if len(dcc_files) == 1:
+        return dcc_files[0]
+    problem = "several DCC schemas; name one of them" if dcc_files else "no DCC schema (dcc.xsd)"
     raise CounterspinError(f"{schema}: contains {problem}", code="wrong-document")
 
 

@@ -176,10 +176,8 @@ def _expiry_date(
     RecordError if the certificate is not yet valid or was not valid on the day of issue.
     """
     now = datetime.now(UTC)
-    valid_from, valid_until = (
-        signer_certificate.not_valid_before_utc,
-        signer_certificate.not_valid_after_utc,
-    )
+    valid_from = signer_certificate.not_valid_before_utc
+    valid_until = signer_certificate.not_valid_after_utc
     if valid_from > now:
         raise RecordError(
             f"{source}: {certificate} is valid only from {valid_from:%Y-%m-%d}; check the clock",
@@ -340,10 +338,8 @@ def verify_pdf_signature(document: bytes, signer_certificate: bytes) -> PdfSigna
     last_signature.compute_integrity_info(skip_diff=True)
     covers_whole_file = last_signature.coverage == SignatureCoverageLevel.ENTIRE_FILE
     # Compare keys, as for the XML: the certificate may have been renewed.
-    actual_certificate, expected_certificate = (
-        last_signature.signer_cert,
-        Certificate.load(signer_certificate),
-    )
+    actual_certificate = last_signature.signer_cert
+    expected_certificate = Certificate.load(signer_certificate)
     if actual_certificate.public_key.dump() != expected_certificate.public_key.dump():
         return "invalid"
     is_unchanged, is_valid = validate_sig_integrity(

@@ -282,17 +282,13 @@ def _check_signer(signer: Signer, key_name: str, certificate_name: str) -> None:
 
     if not _signature_scheme(signer.public_key):
         raise KeyFileError(f"{key_name} must be an RSA or an elliptic-curve key")
-    min_bits, key_bits = (
-        _MIN_RSA_BITS if signer.uses_rsa else _MIN_CURVE_BITS,
-        signer.public_key.key_size,
-    )
+    min_bits = _MIN_RSA_BITS if signer.uses_rsa else _MIN_CURVE_BITS
+    key_bits = signer.public_key.key_size
     if key_bits < min_bits:
         raise KeyFileError(f"{key_name} has {key_bits} bits; at least {min_bits} are required")
     signer_certificate = signer.certificates[0]
-    valid_from, valid_until = (
-        signer_certificate.not_valid_before_utc,
-        signer_certificate.not_valid_after_utc,
-    )
+    valid_from = signer_certificate.not_valid_before_utc
+    valid_until = signer_certificate.not_valid_after_utc
     if not valid_from <= datetime.now(UTC) <= valid_until:
         raise KeyFileError(
             f"{certificate_name} is valid only from {valid_from:%Y-%m-%d} to "

@@ -108,11 +108,9 @@ def _document_statements(lab: Lab, certified_result: Result, issue: Issue) -> It
 
 
 def _value_statements(lab: Lab, result: Result, certified_result: Result) -> Iterator[Statement]:
-    settings, names, gravity = (
-        lab.certificate,
-        lab.certified_names(result),
-        certified_result.inputs.gravity,
-    )
+    settings = lab.certificate
+    names = lab.certified_names(result)
+    gravity = certified_result.inputs.gravity
     uncertainty_type = "basic_methodMeasurementUncertainty"
     yield Statement(
         certificate_text.UNCERTAINTY_HEADING,

@@ -89,12 +89,10 @@ def _describe_unexpected_error(error: Exception) -> str:
         return "the output cannot be written: no space left on device"
     if isinstance(error, OSError) and error.strerror:
         # Not a defect of counterspin: the file name is too long, or the folder was removed.
-        location_text = f"{error.filename}: " if error.filename else ""
-        if location_text and isinstance(error, FileNotFoundError):
-            return f"{location_text}{describe_read_error(error)}"
-        return str(
-            CounterspinError(f"{location_text}the operating system reports: {error.strerror}")
-        )
+        location = f"{error.filename}: " if error.filename else ""
+        if location and isinstance(error, FileNotFoundError):
+            return f"{location}{describe_read_error(error)}"
+        return str(CounterspinError(f"{location}the operating system reports: {error.strerror}"))
     if isinstance(error, ImportError):
         return (
             f"part of the installation cannot be loaded ({CounterspinError(str(error))}); "

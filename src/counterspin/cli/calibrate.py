@@ -145,12 +145,10 @@ class LedgerOptions:
             add_to_ledger(self.ledger, json, who=self.who, why=self.why)
 
 
-_DEFAULT_ESTIMATION, _DEFAULT_PRINT, _DEFAULT_WORKERS, _NO_LEDGER = (
-    EstimationOptions(),
-    PrintOptions(),
-    BatchWorkers(),
-    LedgerOptions(),
-)
+_DEFAULT_ESTIMATION = EstimationOptions()
+_DEFAULT_PRINT = PrintOptions()
+_DEFAULT_WORKERS = BatchWorkers()
+_NO_LEDGER = LedgerOptions()
 
 
 @command

@@ -229,9 +229,7 @@ def _compare_pair(
     relation, assumptions = relate_results(
         name, (first_result, second_result), (first_estimates, second_estimates)
     )
-    covariance, shared_sources = covariance_of_difference(
-        first_estimates, second_estimates, relation
-    )
+    covariance, sources = covariance_of_difference(first_estimates, second_estimates, relation)
     covariance = apply_joint_check(
         name, (first_result, second_result), (first_estimates, second_estimates), covariance
     )
@@ -254,7 +252,7 @@ def _compare_pair(
         chi2=chi2,
         dof=dof,
         p=p,
-        shared=sorted(shared_sources),
+        shared=sorted(sources),
         assumed=assumptions,
     )
     return agreement, differences

@@ -290,30 +290,26 @@ def extract_estimates(
     coefficients = [accelerometer.coefficients[symbol] for symbol in symbols]
     result_gravity = result.inputs.gravity
     target_gravity = result_gravity if gravity is None else gravity
-    unit_ratios = np.array(
-        [g_units_ratio(symbol, result_gravity, target_gravity) for symbol in symbols]
-    )
+    ratios = np.array([g_units_ratio(symbol, result_gravity, target_gravity) for symbol in symbols])
     u = np.array([coefficient.u or 0.0 for coefficient in coefficients])
     correlation_matrix = np.eye(len(coefficients))
-    stated_correlation = accelerometer.correlation
-    has_correlations = stated_correlation is not None and set(symbols) <= set(
-        stated_correlation.terms
-    )
-    if stated_correlation is not None and has_correlations:
-        indices = [stated_correlation.terms.index(symbol) for symbol in symbols]
-        correlation_matrix = np.array(stated_correlation.matrix)[np.ix_(indices, indices)]
+    correlation = accelerometer.correlation
+    has_correlations = correlation is not None and set(symbols) <= set(correlation.terms)
+    if correlation is not None and has_correlations:
+        indices = [correlation.terms.index(symbol) for symbol in symbols]
+        correlation_matrix = np.array(correlation.matrix)[np.ix_(indices, indices)]
     sources = {
-        source: _scale_source(unscaled_source, unit_ratios)
+        source: _scale_source(unscaled_source, ratios)
         for source, unscaled_source in _extract_sources(result, name, symbols).items()
     }
     return Estimates(
         symbols=tuple(symbols),
-        values=unit_ratios * np.array([coefficient.value or 0.0 for coefficient in coefficients]),
-        covariance=np.outer(unit_ratios * u, unit_ratios * u) * correlation_matrix,
+        values=ratios * np.array([coefficient.value or 0.0 for coefficient in coefficients]),
+        covariance=np.outer(ratios * u, ratios * u) * correlation_matrix,
         sources=sources,
         is_complete=has_correlations
         and all(accelerometer.budget.get(symbol) for symbol in symbols),
-        considered_u=unit_ratios
+        considered_u=ratios
         * np.array([_considered_u(result, coefficient) for coefficient in coefficients]),
     )
 

@@ -272,10 +272,8 @@ def _link_or_copy(file: Path, target: Path) -> None:
 def _compare_coefficients(
     result_name: str, original: Result, repeated: Result, new_paths: dict[str, str]
 ) -> RepeatedCalibration:
-    original_coefficients, repeated_coefficients = (
-        dict(_all_coefficients(original)),
-        dict(_all_coefficients(repeated)),
-    )
+    original_coefficients = dict(_all_coefficients(original))
+    repeated_coefficients = dict(_all_coefficients(repeated))
     coefficients = [
         _compare_coefficient(name, original_coefficients.get(name), repeated_coefficients.get(name))
         for name in dict.fromkeys([*original_coefficients, *repeated_coefficients])
@@ -284,11 +282,9 @@ def _compare_coefficients(
     normalized_differences = [
         abs(coefficient.in_u) for coefficient in coefficients if coefficient.in_u is not None
     ]
-    known_differences = [
-        difference for difference in relative_differences if difference is not None
-    ]
-    is_complete = len(known_differences) == len(relative_differences)
-    largest_difference = max(known_differences, default=0.0) if is_complete else None
+    differences = [difference for difference in relative_differences if difference is not None]
+    is_complete = len(differences) == len(relative_differences)
+    largest_difference = max(differences, default=0.0) if is_complete else None
     return RepeatedCalibration(
         result=result_name,
         same=largest_difference is not None

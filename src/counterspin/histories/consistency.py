@@ -133,9 +133,8 @@ def en_score(
     first, second: Value, standard uncertainty and degrees of freedom (None: infinite). The
         coverage probability is 95 %.
     """
-    first_expanded_u, second_expanded_u = (
-        expanded_uncertainty(u, dof) for _, u, dof in (first, second)
-    )
+    first_expanded_u = expanded_uncertainty(*first[1:])
+    second_expanded_u = expanded_uncertainty(*second[1:])
     covariance_term = (
         2.0 * covariance * (first_expanded_u / first[1]) * (second_expanded_u / second[1])
     )

@@ -62,10 +62,8 @@ def tracked_values(result: Result, quantity: str) -> Iterator[TrackedValue]:
     if quantity not in TRIAD_PARAMETERS:
         for name, accelerometer in result.accelerometers.items():
             coefficient = accelerometer.coefficients.get(quantity)
-            lines, conformity = (
-                accelerometer.budget.get(quantity, ()),
-                accelerometer.conformity.get(quantity),
-            )
+            lines = accelerometer.budget.get(quantity, ())
+            conformity = accelerometer.conformity.get(quantity)
             yield TrackedValue((name,), coefficient, lines, conformity)
         return
     triad = result.triad
@@ -244,29 +242,27 @@ def _make_dated_result(
 ) -> DatedResult | str:
     """Return the dated result, or the reason why it is unusable."""
     names, coefficient = tracked_value.accelerometers, tracked_value.coefficient
-    campaign_serial_number = result.details.get("serial_number")
+    campaign_serial = result.details.get("serial_number")
     serial_numbers = [result.accelerometers[name].serial_number for name in names]
-    uses_campaign_serial_number = None in serial_numbers
+    uses_campaign_serial = None in serial_numbers
     if coefficient is None:
         return f"the result has no {term}"
     if not coefficient.estimated or coefficient.value is None or not coefficient.u:
         return f"the result does not determine {term}"
     if (unusable_reason := _unusable_reason(result, names)) is not None:
         return unusable_reason
-    if uses_campaign_serial_number and campaign_serial_number is None:
+    if uses_campaign_serial and campaign_serial is None:
         return (
             "the result has no serial number; state the serial number in [accelerometers] or "
             "[campaign]"
         )
     if isinstance(date, str):
         return date
-    identifiers = (
-        [campaign_serial_number, *names] if uses_campaign_serial_number else serial_numbers
-    )
+    identifiers = [campaign_serial, *names] if uses_campaign_serial else serial_numbers
     return DatedResult(
         serial_number=" ".join(map(str, identifiers)),
-        stated_by="campaign" if uses_campaign_serial_number else "accelerometer",
-        campaign_serial_number=campaign_serial_number,
+        stated_by="campaign" if uses_campaign_serial else "accelerometer",
+        campaign_serial_number=campaign_serial,
         date=date,
         file=file,
         accelerometer=", ".join(names),

@@ -246,10 +246,8 @@ def _make_instrument_history(
     shared_inputs = find_shared_inputs(u, [record.source_shifts for record in records])
     covariance = None if shared_inputs is None else shared_inputs.covariance
     mean = weighted_mean(values, u, covariance)
-    first_date = records[0].date
-    drift = fit_drift(
-        [(record.date - first_date) / YEAR for record in records], values, u, covariance
-    )
+    start = records[0].date
+    drift = fit_drift([(record.date - start) / YEAR for record in records], values, u, covariance)
     verdict = _judge_agreement(mean, drift)
     return InstrumentHistory(
         serial_number=records[0].serial_number,
@@ -259,7 +257,7 @@ def _make_instrument_history(
         mean=mean.value,
         u_mean=mean.u,
         scatter=mean.scatter,
-        drift=None if drift is None else _make_trend(drift, first_date),
+        drift=None if drift is None else _make_trend(drift, start),
         verdict=verdict,
         shared=[] if shared_inputs is None else list(shared_inputs.names),
         correlation=None if shared_inputs is None else shared_inputs.largest_correlation,

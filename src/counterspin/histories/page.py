@@ -394,12 +394,9 @@ def _unused_result_blocks(history: History) -> Iterator[Block]:
     if history.left_out:
         yield Paragraph(f"Omitted ({len(history.left_out)}):")
     for unused_result in history.left_out:
-        accelerometer_text = (
-            f", {unused_result.accelerometer}" if unused_result.accelerometer else ""
-        )
+        name_text = f", {unused_result.accelerometer}" if unused_result.accelerometer else ""
         yield Paragraph(
-            f"{unused_result.file}{accelerometer_text}: {unused_result.reason.removesuffix('.')}.",
-            "quiet",
+            f"{unused_result.file}{name_text}: {unused_result.reason.removesuffix('.')}.", "quiet"
         )
     if n_ignored := len(history.passed_over):
         subject = (

@@ -112,17 +112,15 @@ def _make_failed_state(campaign: Campaign, run: MeanRun, file: Path, reason: str
     )
 
 
-def _make_read_state(campaign: Campaign, averaged_records: Sequence[AveragedRecord]) -> RunState:
+def _make_read_state(campaign: Campaign, records: Sequence[AveragedRecord]) -> RunState:
     """Return the state of a record: means of the accelerometers, and rotation."""
-    first_record = averaged_records[0]
+    first_record = records[0]
     reading, measured_rate = first_record.reading, first_record.reading.measured_rate
     assert reading.record is not None
     fields = report_fields(first_record.mean.report, first_record.record.time) | rotation_fields(
         first_record.rotation
     )
-    fields["outliers"] = max(
-        sum(record.mean.report.outliers.values()) for record in averaged_records
-    )
+    fields["outliers"] = max(sum(record.mean.report.outliers.values()) for record in records)
     if measured_rate is not None:
         fields |= {"rate": measured_rate.value, "u_rate": measured_rate.u}
     return RunState(
@@ -138,7 +136,7 @@ def _make_read_state(campaign: Campaign, averaged_records: Sequence[AveragedReco
                 u=record.reading.u or 0.0,
                 revolutions=record.mean.revolutions,
             )
-            for record in averaged_records
+            for record in records
         },
     )
 

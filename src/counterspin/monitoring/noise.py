@@ -166,17 +166,15 @@ def _parse_quantity(argument_name: str, text: str | None, unit: str) -> float | 
 
 
 def _select_signals(signals: list[StaticSignal], columns: Sequence[str]) -> list[StaticSignal]:
-    selected_signals = [
-        s for s in signals if not columns or s.column in columns or s.name in columns
-    ]
-    if not selected_signals:
+    selection = [s for s in signals if not columns or s.column in columns or s.name in columns]
+    if not selection:
         available_columns = ", ".join(signal.column for signal in signals)
         raise CampaignError(
             "noise",
             [f"`columns`: the accelerometers of the campaign have {available_columns}"],
             code="missing-column",
         )
-    return selected_signals
+    return selection
 
 
 def _guess_signals(
@@ -213,12 +211,10 @@ def _guess_signals(
         source, file_guess, contents.columns, _parse_quantity("sampling_rate", sampling_rate, "Hz")
     )
     time_column = file_guess.time.column if file_guess.time else None
-    candidate_columns = [
-        c for c in contents.columns if c.name != time_column and not c.is_timestamp
-    ]
+    candidates = [c for c in contents.columns if c.name != time_column and not c.is_timestamp]
     signals: list[StaticSignal] = []
     unused_columns: list[str] = []
-    for column in candidate_columns:
+    for column in candidates:
         if columns and column.name not in columns:
             continue
         column_unit = column.unit or unit_in_name(column.name) or unit
@@ -276,10 +272,8 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
         )
         raise UsageError("noise", [problem])
     if isinstance(source, MemoryTable):
-        file_columns = tuple(
-            FileColumn(name, "", values) for name, values in source.columns.items()
-        )
-        return FileContents(Path(source.name), file_columns, source.non_numeric_names, "")
+        columns = tuple(FileColumn(name, "", values) for name, values in source.columns.items())
+        return FileContents(Path(source.name), columns, source.non_numeric_names, "")
     contents = read_contents(source, sensor=select)
     if contents.is_mixed and contents.sensors is not None:
         key, sensors = contents.sensors
@@ -459,10 +453,8 @@ def _noise_remarks(signal_noise: SignalNoise, record: StaticRecord) -> Iterator[
             )
     yield from _sampling_remarks(record)
     if signal_noise.outliers:
-        sample_count = (
-            "1 sample" if signal_noise.outliers == 1 else f"{signal_noise.outliers} samples"
-        )
-        yield f"Rejected as outliers: {sample_count}."
+        count = "1 sample" if signal_noise.outliers == 1 else f"{signal_noise.outliers} samples"
+        yield f"Rejected as outliers: {count}."
     if signal_noise.gaps:
         plural_suffix = "s" if signal_noise.gaps > 1 else ""
         yield (
@@ -560,12 +552,8 @@ def _misfit_remarks(bands: Sequence[Band]) -> Iterator[str]:
 
     worst_pair: tuple[float, Band] | None = None
     for band in bands:
-        chi2_value = band.ratio * band.count
-        p = (
-            2.0
-            * min(chi2.sf(chi2_value, band.count), chi2.cdf(chi2_value, band.count))
-            * len(bands)
-        )
+        statistic = band.ratio * band.count
+        p = 2.0 * min(chi2.sf(statistic, band.count), chi2.cdf(statistic, band.count)) * len(bands)
         if p < _MISFIT_SIGNIFICANCE and (
             worst_pair is None or abs(math.log(band.ratio)) > worst_pair[0]
         ):

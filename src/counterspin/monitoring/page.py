@@ -33,15 +33,11 @@ from counterspin.reports.numbers import (
 def format_watch_line(state: WatchState) -> str:
     """Return a state in one line."""
     runs = ", ".join(f"{run.run} {_format_progress(run)}" for run in state.runs)
-    uncertainties_text = ", ".join(
-        f"u({c.name}) {_format_u(c.u, c.unit)}" for c in state.coefficients
-    )
-    residual_ratios = [r.ratio for run in state.runs for r in run.residuals.values()]
-    residual_text = (
-        f"; residuals {max(residual_ratios):.2f} times the noise" if residual_ratios else ""
-    )
+    u_text = ", ".join(f"u({c.name}) {_format_u(c.u, c.unit)}" for c in state.coefficients)
+    ratios = [r.ratio for run in state.runs for r in run.residuals.values()]
+    residual_text = f"; residuals {max(ratios):.2f} times the noise" if ratios else ""
     goal_text = "; goal met" if state.met else ""
-    return f"{runs}; {uncertainties_text}{residual_text}{goal_text}"
+    return f"{runs}; {u_text}{residual_text}{goal_text}"
 
 
 def check_blocks(checked_run: CheckedRun) -> Iterator[Block]:
@@ -292,18 +288,16 @@ def _summary_sentence(signal: SignalNoise, gravity: float) -> str:
         if noise_size.value is not None
         else f"N is below {_format_scaled(noise_size.high, factor)} {unit}"
     )
-    bias_component_texts = []
+    bias_texts = []
     for key in BIAS_COMPONENTS_BY_KEY:
         component = signal.components[key]
         unit, factor = _display_unit(component.unit, signal, gravity)
         if component.value is not None:
             symbol = COMPONENTS_BY_KEY[key].symbol
-            bias_component_texts.append(
-                f"{symbol} = {format_number(component.value * factor)} {unit}"
-            )
+            bias_texts.append(f"{symbol} = {format_number(component.value * factor)} {unit}")
     bias_text = (
-        f", {' and '.join(bias_component_texts)}"
-        if bias_component_texts
+        f", {' and '.join(bias_texts)}"
+        if bias_texts
         else "; no noise at lower frequencies detected"
     )
     rate = format_number(signal.sampling_rate, 5)
@@ -316,15 +310,13 @@ def _format_scaled(value: float | None, factor: float) -> str:
 
 def _component_table(signal: SignalNoise, gravity: float) -> Table:
     rows = []
-    for key, noise_size in signal.components.items():
-        unit, factor = _display_unit(noise_size.unit, signal, gravity)
-        value = (
-            "not detected" if noise_size.value is None else format_number(noise_size.value * factor)
-        )
+    for key, noise in signal.components.items():
+        unit, factor = _display_unit(noise.unit, signal, gravity)
+        value = "not detected" if noise.value is None else format_number(noise.value * factor)
         component = COMPONENTS_BY_KEY.get(key)
         symbol_text = component.symbol if component else "per sample"
         name = f"{component_name(key)}, {symbol_text}"
-        rows.append((name, value, _format_interval(noise_size, factor), unit))
+        rows.append((name, value, _format_interval(noise, factor), unit))
     unit, factor = _display_unit("m/s^2/s", signal, gravity)
     drift_text = format_estimate(signal.drift * factor, signal.u_drift * factor)
     rows.append(("bias drift", drift_text, "", unit))

@@ -154,11 +154,9 @@ def run_remarks(
     if state.outliers > MAX_OUTLIER_SHARE * max(state.rows, 1) * max(len(views), 1):
         faults.append(f"{state.outliers} of {state.rows} samples are outliers.")
     for view in views:
-        finding_texts = [f"{view.name}: {text}" for text in view.diagnostics.findings]
+        texts = [f"{view.name}: {text}" for text in view.diagnostics.findings]
         p = view.diagnostics.lack_of_fit_p if view.diagnostics.noise_given else None
-        (faults if p is not None and p < CHI_SQUARE_SIGNIFICANCE else warnings).extend(
-            finding_texts
-        )
+        (faults if p is not None and p < CHI_SQUARE_SIGNIFICANCE else warnings).extend(texts)
     return [*faults, *warnings, *notes], not faults
 
 
@@ -272,13 +270,11 @@ def undetermined_estimates(campaign: Campaign, names: Sequence[str]) -> list[Cur
 
 def list_displayed_names(campaign: Campaign, goals: Iterable[str] = ()) -> list[str]:
     """Return the displayed names: each K_II, the parameters of a triad in poses, and goals."""
-    triad_accelerometers = (
-        campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
-    )
+    accelerometers = campaign.triad.accelerometers if campaign.triad and campaign.posed else ()
     triad_names = [
         unknown.name
         for unknown in make_unknowns(campaign).of_interest
-        if unknown.owner in triad_accelerometers
+        if unknown.owner in accelerometers
     ]
     second_order_names = (f"{name}.K_II" for name in campaign.accelerometers)
     return list(dict.fromkeys([*second_order_names, *triad_names, *goals]))
@@ -354,14 +350,10 @@ def pose_remarks(
     located_poses: Sequence[LocatedPose], fit: CurrentFit | None
 ) -> tuple[list[str], bool]:
     """Return remarks on a record of poses, in sentences, and True if it is consistent."""
-    pose_record = located_poses[0].record
-    assert pose_record is not None
+    record = located_poses[0].record
+    assert record is not None
     findings = pose_findings(fit.estimate.fit, fit.pose_groups) if fit else []
-    warnings = [
-        *pose_record.poses.warnings,
-        *pose_record.poses.rejected,
-        *pose_record.report.notes(),
-    ]
+    warnings = [*record.poses.warnings, *record.poses.rejected, *record.report.notes()]
     is_good = not any(finding.contradicts for finding in findings)
     return [*(finding.text for finding in findings), *warnings], is_good
 

@@ -108,10 +108,8 @@ class _Schedule:
     pace: Pace
     next_fit_time: float = 0.0
 
-    def schedule_fit(self, fit_seconds: float) -> None:
-        self.next_fit_time = time.monotonic() + max(
-            self.pace.interval, fit_seconds / self.pace.share
-        )
+    def schedule_fit(self, seconds: float) -> None:
+        self.next_fit_time = time.monotonic() + max(self.pace.interval, seconds / self.pace.share)
 
     def wait(self) -> None:
         time.sleep(self.pace.interval)
