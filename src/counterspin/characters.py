@@ -73,7 +73,7 @@ def _handle_encode_error(encoding: str, error: UnicodeError) -> tuple[str, int]:
     """Return substitutes for characters that cannot be encoded, and their end (`codecs`)."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    # Some codecs ask for one character at a time; raised digits are replaced together.
+    # Some codecs ask for one character at a time; superscript digits are replaced together.
     digits = _SUPERSCRIPT_DIGITS.match(error.object, error.start)
     end = error.end if digits is None else max(error.end, digits.end())
     return substitute_unencodable(error.object[error.start : end], encoding), end

@@ -74,7 +74,7 @@ class NamedParts(dict[str, Any]):
         raise UnknownNameError(name, list(self))
 
 
-class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of what is frozen
+class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of frozen models
     """A part of a result; unknown keys are rejected."""
 
     model_config = ConfigDict(

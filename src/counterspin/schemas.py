@@ -43,9 +43,9 @@ RESULT_CLASSES: Final[Mapping[str, type[ResultFile]]] = {"result": Result, "nois
 
 #: Section of ``campaign.toml`` -> the class of its table, or the first of each of its tables.
 SECTION_MODELS: Final[Mapping[str, type[BaseModel]]] = {
-    key: table
-    for key, written in nested_models(StudyCampaignDocument).items()
-    if (table := find_model(written)) is not None
+    key: model
+    for key, annotation in nested_models(StudyCampaignDocument).items()
+    if (model := find_model(annotation)) is not None
 }
 
 

@@ -17,7 +17,7 @@ class _ThreadLimit:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._asking = 0
+        self._n_users = 0
         self._limit: Any = None
 
     def acquire(self) -> None:
@@ -25,15 +25,15 @@ class _ThreadLimit:
         from threadpoolctl import threadpool_limits
 
         with self._lock:
-            self._asking += 1
-            if self._asking == 1:
+            self._n_users += 1
+            if self._n_users == 1:
                 self._limit = threadpool_limits(limits=1, user_api="blas")
 
     def release(self) -> None:
         """Restore the previous number of threads."""
         with self._lock:
-            self._asking -= 1
-            if self._asking == 0:
+            self._n_users -= 1
+            if self._n_users == 0:
                 self._limit.restore_original_limits()
                 self._limit = None
 

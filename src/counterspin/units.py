@@ -162,10 +162,7 @@ def unit_factor(unit: str, target_unit: str, *, gravity: float | None = None) ->
     factor, dimension = _evaluate_unit(expression)
     target_factor, target_dimension = _evaluate_unit(target_unit)
     factor /= target_factor
-    excess_dimension = {
-        dimension_name: dimension[dimension_name] - target_dimension[dimension_name]
-        for dimension_name in BASE_DIMENSIONS
-    }
+    excess_dimension = {name: dimension[name] - target_dimension[name] for name in BASE_DIMENSIONS}
     # The excess may be a power of (m/s^2)/g, which the site's gravity resolves.
     length_power = excess_dimension["[length]"]
     gravity_dimension = dict.fromkeys(BASE_DIMENSIONS, 0.0)
@@ -366,8 +363,8 @@ def si_unit(unit: str) -> tuple[SiUnit, int]:
     powers = [0, 0, 0, 0]
     numerator, *denominators = unit.split("/")
     for factor, sign in [
-        *((unit_factor, 1) for unit_factor in numerator.split(" ")),
-        *((unit_factor, -1) for unit_factor in denominators),
+        *((factor, 1) for factor in numerator.split(" ")),
+        *((factor, -1) for factor in denominators),
     ]:
         match = _SI_FACTOR.fullmatch(factor)
         if match is None:

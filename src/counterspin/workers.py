@@ -122,8 +122,7 @@ class Workers:
         warning_text = (
             f"`workers`: {self.processes} were requested, but counterspin starts only "
             f"{max_processes}, because more would not be useful with the {available_cores()} "
-            "processor "
-            "cores available"
+            "processor cores available"
         )
         warnings.warn(CounterspinWarning(warning_text, code="too-many-workers"), stacklevel=3)
         return replace(self, processes=max_processes)
@@ -151,7 +150,7 @@ class WorkerPool:
 
     @property
     def size(self) -> int:
-        """How many workers there are, or were a moment ago; at least 1."""
+        """Number of workers, now or a moment ago; at least 1."""
         count_time, n_workers = self._last_count
         if time.monotonic() - count_time > _COUNT_INTERVAL:
             n_workers = max(1, self.count_workers())

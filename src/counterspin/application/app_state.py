@@ -35,8 +35,8 @@ class FileCache:
 
     def get(self, key: Any, files: Sequence[Path], compute: Callable[[], T]) -> T:
         """Return the cached value of `compute`, or its new value if a file has changed."""
-        cached_value, store_value = self.lookup(key, files)
-        return store_value(compute()) if cached_value is None else cached_value
+        cached_value, store = self.lookup(key, files)
+        return store(compute()) if cached_value is None else cached_value
 
     def lookup(self, key: Any, files: Sequence[Path]) -> tuple[Any, Callable[[T], T]]:
         """Return the cached value or None, and a function that stores a new one."""

@@ -66,12 +66,13 @@ def open_upload(app: AppState, name: str) -> Upload:
     make_folder(path.parent)
     cleanup = ExitStack()
     try:
-        part_path = cleanup.enter_context(temporary_folder(_UPLOAD_PREFIX, path.parent)) / "part"
-        part_path.touch()
+        folder = cleanup.enter_context(temporary_folder(_UPLOAD_PREFIX, path.parent))
+        temporary_path = folder / "part"
+        temporary_path.touch()
     except OSError as error:
         cleanup.close()
         raise WriteError(f"{name} cannot be written ({error.strerror})") from error
-    return Upload(path, part_path, cleanup, folders)
+    return Upload(path, temporary_path, cleanup, folders)
 
 
 def complete_upload(app: AppState, upload: Upload) -> StoredFile:
@@ -115,7 +116,7 @@ def copy_campaign(app: AppState, name: str, to: str) -> NameAnswer:
 def rename_campaign(app: AppState, name: str, to: str) -> NameAnswer:
     """Rename a campaign's folder; return the new name."""
     source, target = _idle_campaign_folder(app, name), _check_new_folder(app, name, to)
-    _move_folder(source, target)
+    _move_path(source, target)
     return {"name": app.folder.name(target)}
 
 
@@ -124,7 +125,7 @@ def move_to_trash(app: AppState, name: str) -> TrashPlace:
     source = _idle_campaign_folder(app, name)
     target = _trash_path(app, source)
     make_folder(target.parent)
-    _move_folder(source, target)
+    _move_path(source, target)
     return {"place": target.name}
 
 
@@ -145,7 +146,7 @@ def discard_uploads(app: AppState, folder: str, names: list[str]) -> TrashPlace:
     target = _trash_path(app, source)
     make_folder(target)
     for file in files:
-        _move_folder(file, target / file.name)
+        _move_path(file, target / file.name)
     with suppress(OSError):  # a folder with further files remains
         source.rmdir()
     return {"place": target.name}
@@ -160,9 +161,8 @@ def _trash_path(app: AppState, source: Path) -> Path:
 def list_trash(app: AppState) -> list[TrashEntry]:
     """Return name in the trash and former name of each campaign, the latest first."""
     trash_folder = app.folder.root / TRASH_FOLDER
-    is_own_folder = trash_folder.is_dir() and app.folder.contains(
-        trash_folder
-    )  # not a link to another folder
+    # A link to another folder is not the trash.
+    is_own_folder = trash_folder.is_dir() and app.folder.contains(trash_folder)
     paths = sorted(trash_folder.iterdir(), reverse=True) if is_own_folder else []
     return [
         {"place": path.name, "name": unquote(match["name"])}
@@ -183,7 +183,7 @@ def restore_campaign(app: AppState, place: str) -> RestoredFolder:
         raise NotFoundError(f"{place} is not in the trash")
     target = app.folder.path(find_free_name(app, original_name))
     make_folder(target.parent)
-    _move_folder(app.folder.root / TRASH_FOLDER / place, target)
+    _move_path(app.folder.root / TRASH_FOLDER / place, target)
     is_campaign = (target / DESCRIPTION_NAME).exists()
     files = [] if is_campaign else sorted(path for path in target.iterdir() if path.is_file())
     return {"name": app.folder.name(target), "files": [app.folder.name(file) for file in files]}
@@ -274,7 +274,7 @@ def _check_new_folder(app: AppState, name: str, to: str) -> Path:
     return target
 
 
-def _move_folder(source: Path, target: Path) -> None:
+def _move_path(source: Path, target: Path) -> None:
     try:
         source.rename(target)
     except OSError as error:

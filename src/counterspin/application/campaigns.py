@@ -199,10 +199,7 @@ def _campaign_state(app: AppState, path: Path, entry: CampaignEntry) -> str:
     """Return the state of a campaign."""
     if entry["mistakes"]:
         return "mistakes"
-    result = next(
-        (entry_result for entry_result in entry["results"] if entry_result["state"] != "damaged"),
-        None,
-    )
+    result = next((result for result in entry["results"] if result["state"] != "damaged"), None)
     if result is None:
         return "records missing" if entry["missing"] else "not calibrated"
     checksum = app.folder.read(app.folder.name(path)).version

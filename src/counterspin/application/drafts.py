@@ -130,14 +130,12 @@ def _describe_text_column(contents: FileContents, name: str) -> ColumnEntry:
         ellipsis = " ..." if len(distinct_cells) > _MAX_CELLS else ""
         cells_text = ", ".join(distinct_cells[:_MAX_CELLS]) + ellipsis
         reason = f"The column contains text, not numbers: {cells_text}"
-    unreadable_reason = next(
-        (text for text in contents.unread_reasons if f"'{name}'" in text), None
-    )
+    unread_reasons = (text for text in contents.unread_reasons if f"'{name}'" in text)
     return {
         "name": name,
         "first": list(cells[:_N_PREVIEW_ROWS]),
         "curve": None,
-        "reason": reason if unreadable_reason is None else unreadable_reason,
+        "reason": next(unread_reasons, reason),
     }
 
 

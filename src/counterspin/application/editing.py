@@ -192,9 +192,8 @@ def _set_and_keep_format(document: tomlkit.TOMLDocument, path: KeyPath, value: A
             new_value = (
                 tomlkit.table(depth == 0 and key in _TABLE_SECTIONS)
                 if needs_table_heading
-                else None
+                else tomlkit.inline_table()
             )
-            new_value = tomlkit.inline_table() if new_value is None else new_value
         if isinstance(key, str) and key not in container:
             added_keys.append((container, key))
         container = _get_or_create_item(container, key, new_value)

@@ -296,7 +296,7 @@ def _describe_input(base_type: Any, metadata: Sequence[Any], page: str) -> dict[
     unit_choices = next((choices for check in checks if (choices := _accepted_units(check))), ())
     if unit_choices:
         suggestions = [
-            unit for unit in unit_choices for unit in expected_quantity(unit)[1].split(", ")
+            unit for choice in unit_choices for unit in expected_quantity(choice)[1].split(", ")
         ]
         return {"kind": "text", "suggestions": list(dict.fromkeys(suggestions))}
     origin = typing.get_origin(base_type)

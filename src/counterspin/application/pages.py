@@ -352,12 +352,12 @@ def render_page_picture(
 def _get_page_or_job(app: AppState, kind: PageType, names: Sequence[str], term: str) -> Page | Job:
     """Return a page, from the cache if possible, or the job that computes it."""
     files: list[Path] = [app.file(name) for name in names]
-    cached_page, store_in_cache = app.cache.lookup(("page", kind, *files, term), files)
+    cached_page, store = app.cache.lookup(("page", kind, *files, term), files)
     if cached_page is not None:
         return cast("Page", cached_page)
     page = _PAGE_MAKERS[kind](app, names, term)
     if isinstance(page, Page):
-        return store_in_cache(page)
+        return store(page)
     calculation = page
 
     def make_job(number: int) -> Job:
@@ -366,7 +366,7 @@ def _get_page_or_job(app: AppState, kind: PageType, names: Sequence[str], term: 
     def store_page(plan_result: PlanResult) -> None:
         from counterspin.planning.page import plan_blocks
 
-        store_in_cache(
+        store(
             Page(plan_result.title, _typeset_blocks(plan_blocks(plan_result)), calculation.command)
         )
 

@@ -209,14 +209,14 @@ def _set_limits(app: AppState, name: str, text: str, new_values: Mapping[str, fl
     new_values: Key of [limits] -> value in SI.
     """
     file = app.file(name)
-    limits = {
-        limit.key: limit for limit in _make_sliders(_read_plan(app, file), load_document(file))
+    sliders = {
+        slider.key: slider for slider in _make_sliders(_read_plan(app, file), load_document(file))
     }
     for key, value in new_values.items():
-        if key not in limits:
+        if key not in sliders:
             raise RequestError(f"{key} is not a limit of this plan")
-        if not math.isclose(value, limits[key].value, rel_tol=1e-9):
-            text = set_value(text, ["limits", key], limits[key].format_value(value))
+        if not math.isclose(value, sliders[key].value, rel_tol=1e-9):
+            text = set_value(text, ["limits", key], sliders[key].format_value(value))
     return text
 
 
@@ -229,7 +229,7 @@ def make_planned_page(
     """
     file = app.file(name)
     key = ("planned", file, *sorted((moved or {}).items()))
-    cached_html, store_in_cache = app.cache.lookup(key, [file])
+    cached_html, store = app.cache.lookup(key, [file])
     if cached_html is not None:
         return {"job": None, "html": cached_html}
     text = _set_limits(app, name, app.folder.read(name).text, moved or {})
@@ -240,7 +240,7 @@ def make_planned_page(
 
     def store_page(planned_campaign: PlannedCampaign) -> None:
         blocks = list(map(typeset_block, plan_blocks(planned_campaign.result)))
-        store_in_cache(
+        store(
             app.folder.relative_paths(render_fragment(blocks, title=planned_campaign.result.title))
         )
 

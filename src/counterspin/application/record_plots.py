@@ -89,9 +89,7 @@ def record_overview(app: AppState, name: str, run: str, fit: bool = False) -> Re
         "rows": len(record.time),
         "first": float(record.time[0]),
         "last": float(record.time[-1]),
-        "used": [
-            end_time if math.isfinite(end_time) else None for end_time in run_description.time_range
-        ],
+        "used": [time if math.isfinite(time) else None for time in run_description.time_range],
         "file": app.folder.name(run_description.record),
     }
     return {"overview": overview}
@@ -226,12 +224,12 @@ def begin_fit(app: AppState, name: str) -> JobEntry:
     path = app.description_path(name)
     app.campaign(name).require_records("a plot of the fit")
     command = calibrate_command(path.parent, path.parent / "result.json", "joint", None)
-    _, store_in_cache = app.cache.lookup(*_fit_cache_key(app, name))
+    _, store = app.cache.lookup(*_fit_cache_key(app, name))
 
     def make_job(number: int) -> Job:
         return Job(number, name, "", command, "fit")
 
-    return app.jobs.begin(make_job, run_fit, path, on_done=store_in_cache).to_dict()
+    return app.jobs.begin(make_job, run_fit, path, on_done=store).to_dict()
 
 
 def get_fitted_run(app: AppState, name: str, run: str) -> PlotColumns:
@@ -339,7 +337,7 @@ def get_study_duration(app: AppState, name: str) -> DurationAnswer:
 
     path = app.description_path(name)
     files = [path, *(run.record for run in app.campaign(name).runs)]
-    duration, store_in_cache = app.cache.lookup(("duration", path), files)
+    duration, store = app.cache.lookup(("duration", path), files)
     if duration is not None:
         return {
             "job": None,
@@ -355,7 +353,7 @@ def get_study_duration(app: AppState, name: str) -> DurationAnswer:
     def make_job(number: int) -> Job:
         return Job(number, name, "", command, "estimate")
 
-    job = app.jobs.begin(make_job, run_duration_estimate, path, on_done=store_in_cache)
+    job = app.jobs.begin(make_job, run_duration_estimate, path, on_done=store)
     return {"job": job.to_dict(), "duration": None}
 
 

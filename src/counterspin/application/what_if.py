@@ -196,14 +196,10 @@ def run_search(connection: Connection, campaign: Path) -> None:
 
         recorded_campaign = add_recorded_conditions(read_campaign(campaign))
         observed_runs, noise = observe_with_noise(recorded_campaign)
-        suggestions = {}
+        suggestions, terms = {}, recorded_campaign.model.terms
         for index, owner in enumerate(recorded_campaign.accelerometers):
             progress(index, len(recorded_campaign.accelerometers))
-            symbol = (
-                "K_II"
-                if "K_II" in recorded_campaign.model.terms
-                else recorded_campaign.model.terms[0]
-            )
+            symbol = "K_II" if "K_II" in terms else terms[0]
             suggestions[owner] = suggest_runs(
                 recorded_campaign, observed_runs, noise, f"{owner}.{symbol}"
             )
@@ -265,7 +261,7 @@ def _find_best_prior(result: Result, accelerometer: str) -> tuple[tuple[str, str
             f"{accelerometer}: specifying a single quantity more accurately would not reduce u"
         )
     source = improvement["source"]
-    (_, update) = _require_update(_require_accelerometer(result, accelerometer))
+    _, update = _require_update(_require_accelerometer(result, accelerometer))
     symbol = find_symbol(source)
     row = term(symbol)
     key = f"{accelerometer}.{source}" if symbol in ACCELEROMETER_TERMS else symbol

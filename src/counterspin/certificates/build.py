@@ -214,14 +214,8 @@ def _significant_digit(value: float, u: float) -> int | None:
 
 def _reading_rates(result: Result) -> list[tuple[str, float]]:
     """Return name and rate, rad/s, of each reading during rotation."""
-    all_readings = (
-        motion_readings
-        for readings in group_readings(result).values()
-        for motion_readings in readings
-    )
-    return list(
-        dict.fromkeys((reading.name, reading.rate) for reading in all_readings if reading.rate)
-    )
+    readings = (reading for group in group_readings(result).values() for reading in group)
+    return list(dict.fromkeys((reading.name, reading.rate) for reading in readings if reading.rate))
 
 
 def _joint_covariance(result: Result, names: Sequence[str]) -> dict[str, Any] | None:

@@ -81,12 +81,10 @@ def _read_attached_xml(path: Path) -> bytes:
     except Exception as error:  # any error of pypdf and zlib on a damaged file
         raise _damaged_file_error(path, error) from error
     if len(attachments) != 1:
-        count_text = "no XML file is" if not attachments else (f"{len(attachments)} XML files are")
+        count_text = "no XML file is" if not attachments else f"{len(attachments)} XML files are"
         raise RecordError(
-            (
-                f"{path}: {count_text} attached to the PDF, but the PDF of a certificate must have "
-                "exactly one"
-            ),
+            f"{path}: {count_text} attached to the PDF, but the PDF of a certificate must have "
+            "exactly one",
             code="wrong-document",
         )
     return attachments[0]

@@ -211,13 +211,13 @@ def deviation_lines(settings: CertificateSettings) -> list[str]:
 
 def equipment_lines(equipment: Equipment) -> list[str]:
     """Return the stated quantity, calibration and due date of measuring equipment."""
-    values_by_label = {
+    value_by_label = {
         "Quantity": equipment.quantity,
         "Calibration certificate": equipment.certificate,
         "Calibrated by": equipment.calibrated_by,
         "Next calibration due": equipment.due,
     }
-    return [f"{label}: {value}." for label, value in values_by_label.items() if value is not None]
+    return [f"{label}: {value}." for label, value in value_by_label.items() if value is not None]
 
 
 def customer_lines(settings: CertificateSettings) -> list[str]:

@@ -203,7 +203,7 @@ def triad_lines(triad: TriadResult) -> list[str]:
             rms_text += (
                 "."
                 if rms_after is None
-                else (f"before and {format_number(rms_after, 3)} m/s^2 after correction.")
+                else f" before and {format_number(rms_after, 3)} m/s^2 after correction."
             )
         lines.append(
             f"The sensor was at rest in {len(triad.poses)} poses of unknown attitude. The fit "
@@ -365,24 +365,22 @@ def cmc_lines(result: Result, certified_result: Result, lab: Lab) -> list[str]:
 
     certified_result: Result after `apply_cmc_floor`.
     """
-    lines = []
+    lines, names = [], lab.certified_names(result)
     compared_values = [
         (
             f"{symbol} of {name}",
             coefficient,
             certified_result.accelerometers[name].coefficients[symbol],
         )
-        for name in lab.certified_names(result)
+        for name in names
         for symbol, coefficient in result.accelerometers[name].coefficients.items()
     ]
-    evaluated_triad, certified_triad_result = (
-        certified_triad(either_result, lab.certified_names(result))
-        for either_result in (result, certified_result)
-    )
-    if evaluated_triad is not None and certified_triad_result is not None:
+    triad = certified_triad(result, names)
+    final_triad = certified_triad(certified_result, names)
+    if triad is not None and final_triad is not None:
         compared_values += [
-            (parameter_description(name), coefficient, certified_triad_result.parameters[name])
-            for name, coefficient in evaluated_triad.parameters.items()
+            (parameter_description(name), coefficient, final_triad.parameters[name])
+            for name, coefficient in triad.parameters.items()
         ]
     for description, coefficient, certified_coefficient in compared_values:
         if coefficient.u and certified_coefficient.u and certified_coefficient.u > coefficient.u:
@@ -437,12 +435,9 @@ def _rescale_correlation(
 ) -> Correlation | None:
     if correlation is None:
         return None
-    row_factors = [factors.get(term, 1.0) for term in correlation.terms]
+    scale = [factors.get(term, 1.0) for term in correlation.terms]
     matrix = [
-        [
-            coefficient if i == j else coefficient / (row_factors[i] * row_factors[j])
-            for j, coefficient in enumerate(row)
-        ]
+        [value if i == j else value / (scale[i] * scale[j]) for j, value in enumerate(row)]
         for i, row in enumerate(correlation.matrix)
     ]
     return correlation.model_copy(update={"matrix": matrix})

@@ -441,7 +441,7 @@ def _check_accelerometers(document: Mapping[str, Any], result: Result, problems:
     """Add names that are not in the result, and contradictory serial numbers, to the problems."""
     result_names = result.accelerometers
     settings = table_of(document, "certificate")
-    accelerometer_tables = table_of(document, "accelerometers")
+    tables = table_of(document, "accelerometers")
     selected_names = settings.get("accelerometers")
     if selected_names == []:
         problems.add(
@@ -449,10 +449,10 @@ def _check_accelerometers(document: Mapping[str, Any], result: Result, problems:
         )
     named_paths: list[tuple[KeyPath, object]] = [
         *(
-            (("certificate", "accelerometers", path), name)
-            for path, name in enumerate(list_of(settings, "accelerometers"))
+            (("certificate", "accelerometers", index), name)
+            for index, name in enumerate(list_of(settings, "accelerometers"))
         ),
-        *((("accelerometers", name), name) for name in accelerometer_tables),
+        *((("accelerometers", name), name) for name in tables),
     ]
     for path, name in named_paths:
         if isinstance(name, str) and name not in result_names:
@@ -461,13 +461,9 @@ def _check_accelerometers(document: Mapping[str, Any], result: Result, problems:
                 f'the result has no "{name}"' + suggest_name(name, result_names),
                 "unknown-accelerometer",
             )
-    for name, accelerometer_table in accelerometer_tables.items():
+    for name, table in tables.items():
         result_serial_number = result_names[name].serial_number if name in result_names else None
-        lab_serial_number = (
-            accelerometer_table.get("serial_number")
-            if isinstance(accelerometer_table, dict)
-            else None
-        )
+        lab_serial_number = table.get("serial_number") if isinstance(table, dict) else None
         if result_serial_number and lab_serial_number and lab_serial_number != result_serial_number:
             problems.add(
                 ("accelerometers", name, "serial_number"),

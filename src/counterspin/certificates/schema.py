@@ -131,10 +131,10 @@ class _LocalResolver(etree.Resolver):  # type: ignore[misc]  # lxml has no type 
     """Resolver of URLs to local files; other URLs resolve to nothing."""
 
     def __init__(self, path_by_url: dict[str, Path]) -> None:
-        self._places = path_by_url
+        self._path_by_url = path_by_url
 
     def resolve(self, url: str, _public_id: str | None, context: Any) -> Any:
-        path = self._places.get(url)
+        path = self._path_by_url.get(url)
         if path is not None:
             return self.resolve_filename(str(path), context)
         if "://" in url and not url.startswith("file:"):

@@ -68,8 +68,8 @@ class Signer:
         """Certificate of the signer in PEM format."""
         from cryptography.hazmat.primitives.serialization import Encoding
 
-        text: bytes = self.certificates[0].public_bytes(Encoding.PEM)
-        return text.decode("ascii")
+        pem: bytes = self.certificates[0].public_bytes(Encoding.PEM)
+        return pem.decode("ascii")
 
     @property
     def public_key(self) -> Any:
@@ -198,8 +198,7 @@ def _sign_with_command(arguments: Sequence[str], data: bytes, public_key: Any) -
     except InvalidSignature as error:
         raise make_error(
             f"wrote {len(process.stdout)} bytes that are not a signature with the key of its "
-            f"certificate "
-            "(RSA by PKCS #1 v1.5, or ECDSA in DER, of SHA-256, is expected)"
+            "certificate (RSA by PKCS #1 v1.5, or ECDSA in DER, of SHA-256, is expected)"
         ) from error
     return process.stdout
 

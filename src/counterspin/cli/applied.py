@@ -113,20 +113,17 @@ def applied(
     from counterspin.acceleration_standard.result import AppliedAcceleration
     from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import require_figure_format, save_figure
-    from counterspin.reports.publication import require_report_format as check_report
+    from counterspin.reports.publication import require_report_format
     from counterspin.reports.text import Report, make_console
 
+    overwrite = save_options.overwrite
     if report is not None:
-        check_report(report)
+        require_report_format(report)
         document_type = AppliedAcceleration.report_kind()
-        check_writable(
-            report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
-        )
+        check_writable(report, lambda: marked_file_type(document_type), overwrite=overwrite)
     if figure is not None:
         require_figure_format(figure)
-        check_writable(
-            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
-        )
+        check_writable(figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=overwrite)
     save_options.check_writable(AppliedAcceleration.file_kind)
     certificate_options.check()
     result = compute_budget(
@@ -139,11 +136,9 @@ def applied(
     with save_options.saving(result):
         certificate_options.write(result)
         if figure is not None:
-            save_figure(
-                [relative_plot(result)], figure, FILE_DESCRIPTION, overwrite=save_options.overwrite
-            )
+            save_figure([relative_plot(result)], figure, FILE_DESCRIPTION, overwrite=overwrite)
         if report is not None:
-            result.write_report(report, overwrite=save_options.overwrite)
+            result.write_report(report, overwrite=overwrite)
         blocks = report_blocks(result) if budget_options.budget else result.blocks()
         make_console().print(Report(list(blocks)))
     for path in (report, figure):

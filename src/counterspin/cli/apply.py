@@ -152,7 +152,7 @@ def parse_others(text: str | None) -> dict[str, str]:
     """Parse ``"Qy=COLUMN,Qz=COLUMN"``; raises UsageError for other text."""
     columns = {}
     for pair in text.split(",") if text else []:
-        name, separator, column = (stripped_part.strip() for stripped_part in pair.partition("="))
+        name, separator, column = (part.strip() for part in pair.partition("="))
         if not (name and separator and column) or name in columns:
             raise UsageError(
                 "apply", [f"--others: {text!r} is not of the form Qy=COLUMN,Qz=COLUMN"]

@@ -156,7 +156,7 @@ def translate_message(message: str, app: App, arguments: Iterable[str]) -> str:
         Message of an error or warning.
     app
         The command line.
-    words
+    arguments
         Arguments of the command line, beginning with the command. Unknown names are unchanged.
     """
     command_name = next(

@@ -67,20 +67,17 @@ def operating(
     from counterspin.operating_tests.result import OperatingTests
     from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import require_figure_format, save_figure
-    from counterspin.reports.publication import require_report_format as check_report
+    from counterspin.reports.publication import require_report_format
     from counterspin.reports.text import Report, make_console
 
+    overwrite = save_options.overwrite
     if report is not None:
-        check_report(report)
+        require_report_format(report)
         document_type = OperatingTests.report_kind()
-        check_writable(
-            report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
-        )
+        check_writable(report, lambda: marked_file_type(document_type), overwrite=overwrite)
     if figure is not None:
         require_figure_format(figure)
-        check_writable(
-            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
-        )
+        check_writable(figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=overwrite)
     save_options.check_writable(OperatingTests.file_kind)
     result = run_operating_tests(
         table,
@@ -93,11 +90,9 @@ def operating(
     )
     with save_options.saving(result):
         if figure is not None:
-            save_figure(
-                [operating_plot(result)], figure, FILE_DESCRIPTION, overwrite=save_options.overwrite
-            )
+            save_figure([operating_plot(result)], figure, FILE_DESCRIPTION, overwrite=overwrite)
         if report is not None:
-            result.write_report(report, overwrite=save_options.overwrite)
+            result.write_report(report, overwrite=overwrite)
         make_console().print(Report(list(result.blocks())))
     for path in (report, figure):
         if path is not None:

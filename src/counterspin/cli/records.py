@@ -231,20 +231,17 @@ def noise(
     from counterspin.monitoring.result import NoiseResult
     from counterspin.output import check_writable, marked_file_type
     from counterspin.reports.charts import require_figure_format, save_figure
-    from counterspin.reports.publication import require_report_format as check_report
+    from counterspin.reports.publication import require_report_format
     from counterspin.reports.text import make_console
 
+    overwrite = save_options.overwrite
     if report is not None:
-        check_report(report)
+        require_report_format(report)
         document_type = NoiseResult.report_kind()
-        check_writable(
-            report, lambda: marked_file_type(document_type), overwrite=save_options.overwrite
-        )
+        check_writable(report, lambda: marked_file_type(document_type), overwrite=overwrite)
     if plot is not None:
         require_figure_format(plot)
-        check_writable(
-            plot, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
-        )
+        check_writable(plot, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=overwrite)
     save_options.check_writable(NoiseResult.file_kind)
     result = analyse_noise(
         record,
@@ -263,9 +260,9 @@ def noise(
                 for signal in result.signals
                 for picture in noise_plots(signal, result.gravity)
             ]
-            save_figure(pictures, plot, FILE_DESCRIPTION, overwrite=save_options.overwrite)
+            save_figure(pictures, plot, FILE_DESCRIPTION, overwrite=overwrite)
         if report is not None:
-            result.write_report(report, overwrite=save_options.overwrite)
+            result.write_report(report, overwrite=overwrite)
         make_console().print(result)
     for path in (report, plot):
         if path is not None:

@@ -139,18 +139,15 @@ def history(
 
     if not paths:
         raise UsageError("history", ["give result files, or folders that contain them"])
+    overwrite = save_options.overwrite
     if figure is not None:
         require_figure_format(figure)
-        check_writable(
-            figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=save_options.overwrite
-        )
+        check_writable(figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=overwrite)
     save_options.check_writable(History.file_kind)
     result = compute_history(paths, term=term, serial=serial, reliability=reliability)
     with save_options.saving(result):
         if figure is not None:
-            save_figure(
-                history_plots(result), figure, FILE_DESCRIPTION, overwrite=save_options.overwrite
-            )
+            save_figure(history_plots(result), figure, FILE_DESCRIPTION, overwrite=overwrite)
         make_console().print(result)
     if result.damaged:
         raise CounterspinError(
@@ -218,8 +215,7 @@ def intercompare(
     from counterspin.comparisons.intercomparison_page import FILE_DESCRIPTION, intercomparison_plots
     from counterspin.comparisons.result import Intercomparison
     from counterspin.output import check_writable, marked_file_type
-    from counterspin.reports.charts import require_figure_format as check_figure
-    from counterspin.reports.charts import save_figure
+    from counterspin.reports.charts import require_figure_format, save_figure
     from counterspin.reports.publication import require_report_format
     from counterspin.reports.text import make_console
 
@@ -230,7 +226,7 @@ def intercompare(
             report, lambda: marked_file_type(Intercomparison.report_kind()), overwrite=overwrite
         )
     if figure is not None:
-        check_figure(figure)
+        require_figure_format(figure)
         check_writable(figure, lambda: marked_file_type(FILE_DESCRIPTION), overwrite=overwrite)
     save_options.check_writable(Intercomparison.file_kind)
     symbols = None if coefficient is None else [s.strip() for s in coefficient.split(",")]

@@ -259,7 +259,7 @@ class Estimates:
 
 
 def covariance_of_shifts(shifts: Sequence[Array], n_terms: int) -> Array:
-    """Return the covariance due to independent sources, shape (size, size)."""
+    """Return the covariance due to independent sources, shape (n_terms, n_terms)."""
     if not shifts:
         return np.zeros((n_terms, n_terms))
     stacked_shifts = np.stack(shifts)
@@ -321,9 +321,9 @@ def _considered_u(result: Result, coefficient: Coefficient) -> float:
     return math.hypot(coefficient.u_stated or 0.0, coefficient.u_unstated or 0.0)
 
 
-def _scale_source(source: SharedSource, unit_ratios: Array) -> SharedSource:
+def _scale_source(source: SharedSource, ratios: Array) -> SharedSource:
     return SharedSource(
-        source.estimated, source.value_and_u, source.shifts * unit_ratios, source.is_run_specific
+        source.estimated, source.value_and_u, source.shifts * ratios, source.is_run_specific
     )
 
 
@@ -444,7 +444,7 @@ def relate_results(
 
 def _efficient_result_index(
     results: tuple[Result, Result],
-    records: tuple[frozenset[str], frozenset[str]],
+    checksums: tuple[frozenset[str], frozenset[str]],
     estimates: tuple[Estimates, Estimates],
 ) -> Literal[0, 1] | None:
     """Return the index of the best linear unbiased estimate from the common data, or None.
@@ -455,7 +455,7 @@ def _efficient_result_index(
     if first.model != second.model:
         return None
     if first.method != second.method:
-        return (0 if first.method == "joint" else 1) if records[0] == records[1] else None
+        return (0 if first.method == "joint" else 1) if checksums[0] == checksums[1] else None
     first_sources, second_sources = (result_estimates.sources for result_estimates in estimates)
     if any(
         source.estimated
@@ -469,9 +469,9 @@ def _efficient_result_index(
         {term for term in term_names(result) if term.split(".")[0] not in unshared_runs}
         for result in results
     ]
-    if records[0] >= records[1] and terms[0] <= terms[1]:
+    if checksums[0] >= checksums[1] and terms[0] <= terms[1]:
         return 0
-    if records[1] >= records[0] and terms[1] <= terms[0]:
+    if checksums[1] >= checksums[0] and terms[1] <= terms[0]:
         return 1
     return None
 

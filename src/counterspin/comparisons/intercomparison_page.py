@@ -141,9 +141,9 @@ def _degree_plot(reference: ReferenceValue) -> Plot:
             if degree.member is is_member
         ]
         if points:
-            x, y, half_width = (tuple(column) for column in zip(*points, strict=True))
-            low = tuple(center - width for center, width in zip(y, half_width, strict=True))
-            high = tuple(center + width for center, width in zip(y, half_width, strict=True))
+            x, y, half_widths = (tuple(column) for column in zip(*points, strict=True))
+            low = tuple(centre - width for centre, width in zip(y, half_widths, strict=True))
+            high = tuple(centre + width for centre, width in zip(y, half_widths, strict=True))
             series.append(
                 PlotSeries(
                     f"{label}; error bars: U",

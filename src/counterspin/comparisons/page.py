@@ -257,10 +257,8 @@ def _shared_source_blocks(comparison: ResultComparison) -> Iterator[Block]:
     )
     if shared_sources:
         yield Paragraph(
-            (
-                "Sources common to both results, which the comparison takes into account: "
-                f"{', '.join(shared_sources)}."
-            ),
+            "Sources common to both results, which the comparison takes into account: "
+            f"{', '.join(shared_sources)}.",
             "quiet",
         )
     for text in dict.fromkeys(
@@ -321,7 +319,7 @@ def repeated_calibration_sentence(calibration: RepeatedCalibration) -> str:
     cause = (
         f" Changed: {subjects_text}."
         if subjects_text
-        else (" The inputs, the version and the environment are the same.")
+        else " The inputs, the version and the environment are the same."
     )
     if calibration.largest is None:
         difference_text = "the sets of coefficients, or of determined coefficients, differ"

@@ -30,7 +30,7 @@ class ComparedResult(ResultPart):
     accelerometers: list[str] | None = None
 
     def has(self, accelerometer: str) -> bool:
-        """Check for an accelerometer in this result."""
+        """Return whether this result has an accelerometer."""
         return self.accelerometers is None or accelerometer in self.accelerometers
 
 

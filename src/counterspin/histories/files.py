@@ -193,9 +193,7 @@ def _iter_files(paths: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
 def _json_files(folder: Path) -> Iterator[Path]:
     """Yield the JSON files of a folder and its subfolders, except hidden ones."""
     for file in folder.rglob("*.json"):
-        if not any(
-            folder_name.startswith(".") for folder_name in file.relative_to(folder).parts[:-1]
-        ):
+        if not any(part.startswith(".") for part in file.relative_to(folder).parts[:-1]):
             yield file
 
 

@@ -318,7 +318,7 @@ def _compare_laboratories(
         weights[indices] = np.linalg.solve(
             full_covariance[np.ix_(indices, indices)], np.ones(len(indices))
         )
-        dofs = [first_dof for i in indices if (first_dof := records[i].dof) is not None]
+        dofs = [dof for i in indices if (dof := records[i].dof) is not None]
         weights_by_laboratory[name] = weights / weights.sum(), min(dofs, default=None)
     pairs = []
     for (first, (first_weights, first_dof)), (second, (second_weights, second_dof)) in combinations(

@@ -216,10 +216,8 @@ def _fit_with_other_records(
     observer.poll()
     recorded_campaign, observed_runs = observer.read_usable_runs()
     other_names = [observed_run.run.name for observed_run in observed_runs]
-    other_names += [
-        observed_run.name
-        for observed_run in (recorded_campaign.triad.records if recorded_campaign.triad else ())
-    ]
+    triad = recorded_campaign.triad
+    other_names += [record.name for record in (triad.records if triad else ())]
     other_names.remove(run.name)
     if other_names or recorded_campaign.readings or recorded_campaign.posed:
         try:

@@ -231,7 +231,7 @@ class Observer:
 
     def __init__(self, campaign: Campaign, *, is_growing: bool = False) -> None:
         self._campaign = campaign
-        self._watched = []
+        self._watched_runs = []
         for run in recorded_runs(campaign):
             if isinstance(run, Run):
                 columns = record_columns(campaign, run)
@@ -239,12 +239,12 @@ class Observer:
                 columns = pose_columns(campaign, run)
             temperature_spec = temperature_columns(campaign, run)
             table = _make_growing_table(run, columns, temperature_spec) if is_growing else None
-            self._watched.append(_WatchedRun(run, columns, table))
+            self._watched_runs.append(_WatchedRun(run, columns, table))
 
     def poll(self) -> tuple[bool, list[str]]:
         """Poll all records; return whether any changed, and sentences on file changes."""
         has_changed, events = False, []
-        for watched_run in self._watched:
+        for watched_run in self._watched_runs:
             if watched_run.run.record in self._campaign.frames:
                 continue  # in memory: it does not change
             has_file_changed, event = _poll_file(watched_run)
@@ -257,13 +257,13 @@ class Observer:
         """Read changed records; return the campaign with usable records only, and the runs."""
         durations: dict[str, float] = {}
         frames = dict(self._campaign.frames)
-        for watched_run in self._watched:
+        for watched_run in self._watched_runs:
             self._read_record(watched_run)
             if watched_run.record is not None:
                 durations[watched_run.run.name] = float(watched_run.record.time[-1])
             if watched_run.poses and watched_run.table is not None:
                 frames[watched_run.run.record] = watched_run.table.table
-        temperatures = {watched.run.name: watched.temperature for watched in self._watched}
+        temperatures = {w.run.name: w.temperature for w in self._watched_runs}
         runs = tuple(
             r.model_copy(update={"temperature": temperatures[r.name]})
             for r in self._campaign.runs
@@ -281,7 +281,7 @@ class Observer:
             )
         conditions = run_conditions(usable_campaign, durations) if runs else {}
         observed_runs = []
-        for watched_run in self._watched:
+        for watched_run in self._watched_runs:
             if watched_run.record is None or not isinstance(watched_run.run, Run):
                 continue
             current_conditions = conditions[watched_run.run.name]
@@ -295,21 +295,21 @@ class Observer:
 
     def find_poses(self, name: str) -> tuple[LocatedPose, ...]:
         """Return the poses of a record; none if it is unusable."""
-        return next(w for w in self._watched if w.run.name == name).poses
+        return next(w for w in self._watched_runs if w.run.name == name).poses
 
     def read_status(self, name: str) -> tuple[str | None, str | None, int]:
         """Return the reason why a run waits, its error, and its number of rows."""
-        watched = next(w for w in self._watched if w.run.name == name)
-        rows = watched.table.n_rows if watched.table else 0
-        if watched.record is not None:
-            rows = max(rows, watched.record.report.rows)
-        if watched.poses and (record := watched.poses[0].record) is not None:
+        watched_run = next(w for w in self._watched_runs if w.run.name == name)
+        rows = watched_run.table.n_rows if watched_run.table else 0
+        if watched_run.record is not None:
+            rows = max(rows, watched_run.record.report.rows)
+        if watched_run.poses and (record := watched_run.poses[0].record) is not None:
             rows = max(rows, record.report.rows)
-        return watched.wait_reason, watched.file_error or watched.record_error, rows
+        return watched_run.wait_reason, watched_run.file_error or watched_run.record_error, rows
 
     def unread_state(self, name: str) -> RunState:
         """Return the state of a run that is too short or unusable."""
-        run = next(w.run for w in self._watched if w.run.name == name)
+        run = next(w.run for w in self._watched_runs if w.run.name == name)
         wait_reason, error, rows = self.read_status(name)
         return RunState(
             run=name,
@@ -364,7 +364,7 @@ def _find_wait_reason(run: RecordedRun, columns: RecordColumns, table: MemoryTab
         return (
             None
             if seconds >= run.min_rest
-            else (f"only {seconds:.1f} of {run.min_rest:g} s at rest so far")
+            else f"only {seconds:.1f} of {run.min_rest:g} s at rest so far"
         )
     revolutions = abs(run.rate) * seconds / (2.0 * math.pi)
     if revolutions >= MIN_REVOLUTIONS:

@@ -46,9 +46,9 @@ def check_blocks(checked_run: CheckedRun) -> Iterator[Block]:
     yield Heading(f"{run.run}: {run.record}", 1)
     if checked_run.good:
         verdict = (
-            "The run is usable."
-            if not checked_run.remarks
-            else ("The run is usable, with these remarks:")
+            "The run is usable, with these remarks:"
+            if checked_run.remarks
+            else "The run is usable."
         )
     else:
         verdict = "The run failed its checks and should be repeated."
@@ -65,7 +65,7 @@ def check_blocks(checked_run: CheckedRun) -> Iterator[Block]:
             checked_run,
             f"with {other_names}"
             if other_names
-            else ("uncertainty from this record and the priors alone"),
+            else "uncertainty from this record and the priors alone",
         )
     if checked_run.why_not and run.state == "read":
         yield Paragraph(
@@ -310,13 +310,13 @@ def _format_scaled(value: float | None, factor: float) -> str:
 
 def _component_table(signal: SignalNoise, gravity: float) -> Table:
     rows = []
-    for key, noise in signal.components.items():
-        unit, factor = _display_unit(noise.unit, signal, gravity)
-        value = "not detected" if noise.value is None else format_number(noise.value * factor)
+    for key, size in signal.components.items():
+        unit, factor = _display_unit(size.unit, signal, gravity)
+        value = "not detected" if size.value is None else format_number(size.value * factor)
         component = COMPONENTS_BY_KEY.get(key)
         symbol_text = component.symbol if component else "per sample"
         name = f"{component_name(key)}, {symbol_text}"
-        rows.append((name, value, _format_interval(noise, factor), unit))
+        rows.append((name, value, _format_interval(size, factor), unit))
     unit, factor = _display_unit("m/s^2/s", signal, gravity)
     drift_text = format_estimate(signal.drift * factor, signal.u_drift * factor)
     rows.append(("bias drift", drift_text, "", unit))

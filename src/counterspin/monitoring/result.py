@@ -232,9 +232,9 @@ class NoiseResult(ReportableResult):
                 if signal.observable == "specific_force"
             ]
             values = [
-                signal.high if signal.value is None else signal.value
-                for signal in sizes
-                if signal is not None
+                size.high if size.value is None else size.value
+                for size in sizes
+                if size is not None
             ]
             detected_values = [value for value in values if value is not None]
             if not detected_values or len(detected_values) < len(sizes):

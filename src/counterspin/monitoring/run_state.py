@@ -100,7 +100,7 @@ def rotation_fields(rotation: SpindleFit | None) -> dict[str, Any]:
     if rotation is None:
         return {}
     largest_ripple = max(
-        rotation.spindle.ripples, key=lambda component: component.amplitude, default=None
+        rotation.spindle.ripples, key=lambda ripple: ripple.amplitude, default=None
     )
     return {
         "rate": rotation.spindle.rate,
@@ -232,9 +232,9 @@ def _parse_target(campaign: Campaign, name: str, target_u: float | str) -> str:
     except ValueError:
         return str(target_u)
     symbols = [
-        target_u.symbol
-        for target_u in make_unknowns(campaign).of_interest
-        if name in (target_u.name, target_u.symbol)
+        unknown.symbol
+        for unknown in make_unknowns(campaign).of_interest
+        if name in (unknown.name, unknown.symbol)
     ]
     return f"{target_value!r} {unit_of(symbols[0])}" if symbols else str(target_u)
 
@@ -373,9 +373,9 @@ def find_missing_directions(
     directions = upward_directions(group.accelerometers)
     priors = [
         {
-            unknown_term.symbol: unknown_term.nominal + float(value)
-            for unknown_term, value in zip(model.unknowns, expected_values, strict=True)
-            if unknown_term.owner == name and unknown_term.symbol in TERMS
+            unknown.symbol: unknown.nominal + float(value)
+            for unknown, value in zip(model.unknowns, expected_values, strict=True)
+            if unknown.owner == name and unknown.symbol in TERMS
         }
         for name in group.accelerometers
     ]
@@ -384,8 +384,8 @@ def find_missing_directions(
     )
     columns = [
         index
-        for index, unknown_term in enumerate(model.of_interest)
-        if unknown_term.owner in group.accelerometers
+        for index, unknown in enumerate(model.of_interest)
+        if unknown.owner in group.accelerometers
     ]
     pose_rows = group.linearize(model, expected_values).design[:, columns]
     candidate_rows = candidate_poses.linearize(model, expected_values).design[:, columns]
