@@ -128,9 +128,8 @@ def _student_tail(dof: float, t: float) -> float:
 
 def _student_density(dof: float, t: float) -> float:
     a = 0.5 * dof
-    return (
-        _gamma_ratio(a) / math.sqrt(dof * math.pi) * math.exp(-(a + 0.5) * math.log1p(t * t / dof))
-    )
+    kernel = math.exp(-(a + 0.5) * math.log1p(t * t / dof))
+    return _gamma_ratio(a) / math.sqrt(dof * math.pi) * kernel
 
 
 def _gamma_ratio(a: float) -> float:

@@ -284,9 +284,8 @@ class _Information:
         prior_information = (np.sum(self.priors**2, axis=0) + self.floor**2)[index]
         upper_bound = information - prior_information + rounding
         lower_bound = np.maximum(information - prior_information - rounding, 0.0)
-        cross_information = covariance[i, j] / (
-            variances.prod(axis=1) * uncorrelated_fractions[:, 0]
-        )
+        scale = variances.prod(axis=1) * uncorrelated_fractions[:, 0]
+        cross_information = covariance[i, j] / scale
         is_observed = (upper_bound * self.limits[index] ** 2 >= 1.0).all(axis=1)
         is_collinear = cross_information**2 >= (
             _SCREENING_FACTOR * NEAR_COLLINEAR
@@ -407,9 +406,8 @@ def format_combination(
         names, coefficients.tolist(), tolerances.tolist(), strict=True
     ):
         magnitude = _format_number(abs(weight), weight_tolerance)
-        text += f" {'-' if weight < 0 else '+'} " + (
-            name if magnitude == "1" else f"{magnitude} {name}"
-        )
+        term = name if magnitude == "1" else f"{magnitude} {name}"
+        text += f" {'-' if weight < 0 else '+'} {term}"
     return text.removeprefix(" + ")
 
 

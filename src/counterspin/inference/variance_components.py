@@ -164,9 +164,7 @@ class _RestrictedDeviance:
         """Return the variances that minimise -2 l from a start, some of them fixed, and -2 l."""
         from scipy.optimize import minimize
 
-        free = [
-            index for index in range(len(self.group_covariances)) if index not in fixed_variances
-        ]
+        free = [i for i in range(len(self.group_covariances)) if i not in fixed_variances]
         variances = np.array(start, dtype=float)
         for index, value in fixed_variances.items():
             variances[index] = value
@@ -176,9 +174,8 @@ class _RestrictedDeviance:
         def deviance_of_logs(x: Array) -> tuple[float, Array]:
             variances[free] = np.exp(x) * self.scale
             deviance, gradient = self.deviance(variances)
-            return (deviance if math.isfinite(deviance) else 1e300), gradient[free] * variances[
-                free
-            ]
+            log_gradient = gradient[free] * variances[free]
+            return (deviance if math.isfinite(deviance) else 1e300), log_gradient
 
         log_bounds = (math.log(_MIN_VARIANCE_RATIO), math.log(_MAX_VARIANCE_RATIO))
         initial = np.clip(np.log(np.maximum(variances[free], 1e-300) / self.scale), *log_bounds)
@@ -195,11 +192,10 @@ class _RestrictedDeviance:
         variances, min_deviance = min(minima, key=lambda minimum: minimum[1])
         zero_components: dict[int, float] = {}
         for index in np.flatnonzero(variances < _NEGLIGIBLE_VARIANCE_RATIO * self.scale):
-            reduced_variances, deviance = self.minimise(
-                variances, {**zero_components, int(index): 0.0}
-            )
+            components = {**zero_components, int(index): 0.0}
+            reduced_variances, deviance = self.minimise(variances, components)
             if deviance <= min_deviance + 1e-6:
-                zero_components[int(index)] = 0.0
+                zero_components = components
                 variances, min_deviance = reduced_variances, deviance
         return variances, min_deviance
 
@@ -219,10 +215,8 @@ class _RestrictedDeviance:
         log_estimate = math.log(max(estimate[index] / self.scale, _MIN_VARIANCE_RATIO))
         low = high = 0.0
         if excess_deviance(log_bounds[0]) > 0.0 and log_estimate > log_bounds[0]:
-            low = (
-                math.exp(brentq(excess_deviance, log_bounds[0], log_estimate, xtol=1e-4))
-                * self.scale
-            )
+            log_low = brentq(excess_deviance, log_bounds[0], log_estimate, xtol=1e-4)
+            low = math.exp(log_low) * self.scale
         step = 1.0
         while log_estimate + step < log_bounds[1] and excess_deviance(log_estimate + step) < 0.0:
             step *= 2.0

@@ -80,9 +80,7 @@ def columns(
     indices = [_angle_error_symbols(angle_error).index(symbol) for symbol in symbols]
     motion, order = series.trajectory, series.order
     matrix = series.mounting.turned(series.attitude).matrix
-    effects = {
-        TERMS[symbol].effect: value for symbol, value in coefficients.items() if value != 0.0
-    }
+    effects = {TERMS[symbol].effect: value for symbol, value in coefficients.items() if value}
     linear_sensitivity = matrix[0] + sum(
         value * row.weight * matrix["IPO".index(row.factors[0])]
         for row, value in effects.items()
@@ -105,13 +103,8 @@ def columns(
         force: Array = displacement_change(t, 0) + coriolis
         if motion.table_ratio == -1.0:
             return force
-        platform_motion, angle_change = (
-            motion.at(t),
-            motion.spindle.angle_functions(angle_error, t)[0],
-        )
-        return platform_motion.table.force_change(
-            platform_motion.specific_force, force, angle_change
-        )
+        platform, angle_change = motion.at(t), motion.spindle.angle_functions(angle_error, t)[0]
+        return platform.table.force_change(platform.specific_force, force, angle_change)
 
     def product_effect(t: Array) -> Array:
         derivatives = _product_derivatives(
@@ -120,34 +113,28 @@ def columns(
         return np.asarray(np.einsum("nmc,cn->mn", force_change(t), matrix.T @ derivatives))
 
     def output_change(t: Array) -> Array:
-        change = (
-            force_change(t) if order == 0 else displacement_change(t, order)
-        ) @ linear_sensitivity
+        force = force_change(t) if order == 0 else displacement_change(t, order)
+        change = force @ linear_sensitivity
         if products and order == 0:
             change += product_effect(t).T
         elif products:
             edges = quadrature.panel_edges(motion.spindle, float(t.max()))
             if any(row.has_kink for row in products):
-                kinks = quadrature.sign_changes(
-                    lambda s: motion.specific_force(s) @ matrix[0], edges
-                )
+                axis = matrix[0]
+                kinks = quadrature.sign_changes(lambda s: motion.specific_force(s) @ axis, edges)
                 edges = quadrature.panel_edges(motion.spindle, float(t.max()), kinks)
             change += quadrature.integrate(product_effect, edges, t, order)
         return np.asarray(change @ angle_error.root[:, indices])
 
-    average_column = observation.block_average(output_change, series.time, series.time_sd)
+    average = observation.block_average(output_change, series.time, series.time_sd)
     if series.corrected_fraction == 0.0:
-        return average_column
-    angle_change = (
-        motion.spindle.angle_functions(angle_error, series.time)[0] @ angle_error.root[:, indices]
-    )
+        return average
+    functions = motion.spindle.angle_functions(angle_error, series.time)[0]
+    angle_change = functions @ angle_error.root[:, indices]
     nonzero_coefficients = {symbol: value for symbol, value in coefficients.items() if value != 0.0}
-    output_slope = sum(series.slopes(nonzero_coefficients)) / motion.spindle.angular_rate(
-        series.time
-    )
-    return np.asarray(
-        average_column - series.corrected_fraction * output_slope[:, None] * angle_change
-    )
+    rate = motion.spindle.angular_rate(series.time)
+    output_slope = sum(series.slopes(nonzero_coefficients)) / rate
+    return np.asarray(average - series.corrected_fraction * output_slope[:, None] * angle_change)
 
 
 def _product_derivatives(products: Mapping[SpecificForceProduct, float], a_ipo: Array) -> Array:

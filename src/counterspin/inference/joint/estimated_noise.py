@@ -106,9 +106,7 @@ def noise_covariances(
     noise: Mapping[str, Noise], estimates: Mapping[str, NoiseEstimate]
 ) -> dict[str, Array]:
     """Return the covariance of the variances of each noise that is not exact, shape (4, 4)."""
-    covariances: dict[str, Array] = {
-        name: component.covariance for name, component in estimates.items()
-    }
+    covariances: dict[str, Array] = {name: e.covariance for name, e in estimates.items()}
     for name, component in noise.items():
         if component.covariance:
             # Estimates from these records and from other records are of different components.
@@ -128,10 +126,8 @@ def noise_level_dof(fit: JointFit, name: str) -> float:
         return math.inf
     series_list = [block.series for block in fit.design_blocks if block.accelerometer == name]
     row_equivalents = sum(_row_equivalents(series, noise) for series in series_list)
-    gradient, variances = (
-        np.zeros((1, len(COMPONENTS))),
-        np.array(noise.variances[: _WALK_INDEX + 1]),
-    )
+    gradient = np.zeros((1, len(COMPONENTS)))
+    variances = np.array(noise.variances[: _WALK_INDEX + 1])
     np.divide(row_equivalents, variances, out=gradient[0, : _WALK_INDEX + 1], where=variances > 0.0)
     n_rows = sum(series.differences.n_rows for series in series_list)
     return float(effective_dof([n_rows], gradient, np.array(noise.covariance))[0])
@@ -183,10 +179,8 @@ def inflate_covariance(
     dof: Degrees of freedom from other sources.
     """
     solution = fit.solution
-    variance, inverse_dof = (
-        np.diag(solution.covariance),
-        1.0 / np.full(len(fit.model.unknowns), dof),
-    )
+    variance = np.diag(solution.covariance)
+    inverse_dof = 1.0 / np.full(len(fit.model.unknowns), dof)
     for name, covariance in noise_covariances(noise, estimates).items():
         gradient = np.diagonal(sensitivities[name], axis1=1, axis2=2).T
         inverse_dof += 1.0 / effective_dof(variance, gradient, covariance)

@@ -166,9 +166,8 @@ def _fit_run_variances(
     )
     gain = -_information_per_row(all_squares) * log_ratio_sum
     gain_excess = gain - float(chdtri(len(variances) - 1, _SIGNIFICANCE))
-    run_ratios = {
-        fit.design_blocks[i].run: math.sqrt(variance) for i, variance in variances.items()
-    }
+    blocks = fit.design_blocks
+    run_ratios = {blocks[i].run: math.sqrt(variance) for i, variance in variances.items()}
     return (gain_excess, VarianceModel(run_ratios, 0.0)) if gain_excess > 0.0 else None
 
 

@@ -95,9 +95,8 @@ def record_mistakes(
     runs = list(dict.fromkeys(block.run for block in design_blocks))
     limits = {(unknown.owner, unknown.symbol): unknown.limit for unknown in fit.model.unknowns}
     for name in accelerometers:
-        columns = {
-            i: outputs[i] for i, block in enumerate(design_blocks) if block.accelerometer == name
-        }
+        rows = [i for i, block in enumerate(design_blocks) if block.accelerometer == name]
+        columns = {i: outputs[i] for i in rows}
         yield Alternative(SCALE, name, SCALE, columns, credible_range=_SCALE_RANGE)
         if len(columns) > 1:
             yield _bias_drift_alternative(fit, list(columns), name, drift_sds[name])
@@ -216,9 +215,8 @@ def evaluate_alternative(fit: JointFit, alternative: Alternative, value: float) 
     alternative: An alternative of this module.
     """
     if alternative.kind in (SCALE, RUN_SCALE):
-        return replace(
-            alternative, columns={i: _fitted_output(fit, i) for i in alternative.columns}
-        )
+        columns = {i: _fitted_output(fit, i) for i in alternative.columns}
+        return replace(alternative, columns=columns)
     if alternative.kind == ANGLE or alternative.symbol == TIMING:
         columns = {}
         for i in alternative.columns:

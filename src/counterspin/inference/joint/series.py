@@ -245,9 +245,8 @@ class ResidualSeries:
         if not np.all(np.diff(time) > 0.0):
             return self  # the encoder is too noisy for the order of the rows
         errors = replace(self.timestamp_errors, fraction=fraction)
-        variance_change = (
-            fraction - self.corrected_fraction
-        ) * self.timestamp_errors.variance_change
+        fraction_change = fraction - self.corrected_fraction
+        variance_change = fraction_change * self.timestamp_errors.variance_change
         time_sd = np.sqrt(np.maximum(self.time_sd**2 + variance_change, 0.0))
         corrected_series = replace(self, time=time, time_sd=time_sd, timestamp_errors=errors)
         error = self.error + self.reference() - corrected_series.reference()

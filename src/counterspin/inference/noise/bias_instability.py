@@ -136,9 +136,8 @@ def coefficient_root(
     variances: Variances, count: int, length: float, walk_duration: float
 ) -> Array:
     """Return a square root of `coefficient_covariance`."""
-    values, vectors = np.linalg.eigh(
-        coefficient_covariance(variances, count, length, walk_duration)
-    )
+    covariance = coefficient_covariance(variances, count, length, walk_duration)
+    values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
     return root
 

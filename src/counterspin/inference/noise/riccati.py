@@ -67,9 +67,8 @@ class BlockSpans:
     def times_since_last(self) -> tuple[Array, Array]:
         """Times from the last sample before a row to its mean time and its last sample, s, (n,)."""
         last_times = self.time + self.half_length
-        previous_last_times = np.concatenate(
-            ([self.time[0] - self.half_length[0]], last_times[:-1])
-        )
+        start_time = self.time[0] - self.half_length[0]
+        previous_last_times = np.concatenate(([start_time], last_times[:-1]))
         return self.time - previous_last_times, last_times - previous_last_times
 
     @cached_property
@@ -119,10 +118,8 @@ def filter_walk(
     if uses_scan:
         starts, sizes = np.arange(to_end.size), np.ones(to_end.size, dtype=np.intp)
     first_rows, last_rows = starts, starts + sizes - 1
-    d, s = (
-        (to_mean[first_rows] + to_mean[last_rows]) / 2,
-        (to_end[first_rows] + to_end[last_rows]) / 2,
-    )
+    d = (to_mean[first_rows] + to_mean[last_rows]) / 2
+    s = (to_end[first_rows] + to_end[last_rows]) / 2
 
     # For a walk z(s) that starts at rest at the previous last sample:
     # E z(s) z(s') = [|s - s'|^3 - s^3 - s'^3 + 3 s s' (s + s')]/12, averaged over the block.

@@ -230,9 +230,8 @@ class NoiseModelCandidate:
         """Return the maximum of the likelihood from a start, and the variances at the maximum."""
         x = self._ascend(self._logs(start))
         log_scale, ratios = self.scale_and_ratios(x)
-        return self.likelihood.value(log_scale, ratios), _scale_variances(
-            math.exp(log_scale), ratios
-        )
+        variances = _scale_variances(math.exp(log_scale), ratios)
+        return self.likelihood.value(log_scale, ratios), variances
 
     def maximum(self, white_maximum: Maximum | None, start: Variances | None = None) -> Maximum:
         """Return the maximum of the likelihood.

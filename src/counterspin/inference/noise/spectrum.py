@@ -246,12 +246,10 @@ def allan_deviation(velocity: Array, step: float, count: int) -> float:
     velocity: Integral of the specific force at regular times, m/s, shape (n,).
     step: Time between samples, s.
     """
-    second_differences = (
-        velocity[2 * count :] - 2.0 * velocity[count:-count] + velocity[: -2 * count]
-    )
+    differences = velocity[2 * count :] - 2.0 * velocity[count:-count] + velocity[: -2 * count]
     return (
-        math.sqrt(float(np.mean(second_differences**2)) / 2.0) / (count * step)
-        if second_differences.size
+        math.sqrt(float(np.mean(differences**2)) / 2.0) / (count * step)
+        if differences.size
         else math.nan
     )
 

@@ -581,9 +581,8 @@ def _compare_bands(likelihood: RestrictedLikelihood, best_maximum: Maximum) -> t
         number = np.cumsum(record.counts) - 0.5 * (record.counts - 1.0)
         frequency.append(number / (2.0 * record.length))
     frequencies, energy, rows = map(np.concatenate, (frequency, power, count))
-    band_numbers = np.floor(_BANDS_PER_DECADE * np.log10(frequencies / frequencies.min())).astype(
-        int
-    )
+    decades = np.log10(frequencies / frequencies.min())
+    band_numbers = np.floor(_BANDS_PER_DECADE * decades).astype(int)
     bands = []
     for number in np.unique(band_numbers):
         is_in_band = band_numbers == number

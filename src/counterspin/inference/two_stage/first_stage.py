@@ -275,9 +275,8 @@ def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float
             _STROBE_EXTENT * float(np.diff(strobes.time).min()),
         )
         whitened_square = whitener.apply(strobes.time**2)
-        b2_gain = (
-            whitener.apply(np.eye(m)).T @ whitened_square / (whitened_square @ whitened_square)
-        )
+        squared_norm = whitened_square @ whitened_square
+        b2_gain = whitener.apply(np.eye(m)).T @ whitened_square / squared_norm
         line_gain = powers[:2, None] * _gain(design[:, :2], weight)
         gain = np.vstack([line_gain @ (np.eye(m) - np.outer(strobes.time**2, b2_gain)), b2_gain])
         residuals = strobes.error - np.vander(strobes.time, 3, True) @ (gain @ strobes.error)
