@@ -211,6 +211,12 @@ class MissingAnswersError(CampaignError):
     heading = "answers are still needed"
 
 
+class InvalidAnswersError(MissingAnswersError):
+    """Some answers about a file are not valid; others may be missing."""
+
+    heading = "answers are missing or not valid"
+
+
 class RecordError(CounterspinError):
     """A record file is missing, damaged or not physically possible."""
 

@@ -80,7 +80,7 @@ def check_writable(
                 "overwritten; choose another file"
             )
     if not overwrite:
-        advice = "" if file_type is None else ", or set `overwrite=True`"
+        advice = "" if file_type is None else ", or use `overwrite=True`"
         raise ExistingFileError(f"{path} already exists; choose another file{advice}")
 
 

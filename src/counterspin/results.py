@@ -37,6 +37,23 @@ _NUMBER_LIST: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
 _SURROGATE_ESCAPE: Final = re.compile(r"\\u[dD][89a-fA-F]")
 
 
+#: Error type of pydantic -> message.
+_PLAIN_MESSAGES: Final[Mapping[str, str]] = {
+    "missing": "is missing",
+    "extra_forbidden": "unknown key",
+    "model_type": "must be an object",
+    "dict_type": "must be an object",
+    "dataclass_type": "must be an object",
+    "list_type": "must be a list",
+    "tuple_type": "must be a list",
+    "string_type": "must be a string",
+    "bool_type": "must be true or false",
+    "float_type": "must be a number",
+    "float_parsing": "must be a number",
+    "int_type": "must be a whole number",
+    "int_parsing": "must be a whole number",
+}
+
 #: Largest number of results named in a sentence.
 _MAX_LISTED_NAMES: Final = 5
 
@@ -224,8 +241,9 @@ class ResultFile(ResultPart):
         except ValidationError as error:
             first_error = error.errors()[0]
             key_path = "".join(f"{key}: " for key in first_error["loc"])
+            problem = _PLAIN_MESSAGES.get(first_error["type"], first_error["msg"])
             raise RecordError(
-                f"{path}: not a {cls.KIND} file: {key_path}{first_error['msg']}; {advice}",
+                f"{path}: not a {cls.KIND} file: {key_path}{problem}; {advice}",
                 code="wrong-document",
             ) from error
         seal = document.get("seal")

@@ -172,8 +172,15 @@ def unit_factor(unit: str, target_unit: str, *, gravity: float | None = None) ->
         "[gravity]": -length_power,
     }
     if excess_dimension != gravity_dimension or (length_power != 0.0 and gravity is None):
+        noun = quantity.split(" ", 1)[1]
+        output_unit = noun.removeprefix("quantity in ")
+        problem = (
+            f"is not a unit of {noun}"
+            if output_unit == noun
+            else f"cannot be converted to {output_unit}"
+        )
         raise InputError(
-            f"{unit!r} is not a unit of {quantity.split(' ', 1)[1]}; use {accepted_units}",
+            f"{unit!r} {problem}; use {accepted_units}",
             "wrong-unit",
         )
     if length_power != 0.0 and gravity is not None:

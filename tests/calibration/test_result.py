@@ -69,8 +69,8 @@ def test_complete_result_is_read(tmp_path):
         ),
         (json.dumps({"K_II": K_II}), "{}", "damaged result: Qx has no coefficients"),
         ('["K_II"]', '["K_II", "K_F"]', "the correlation matrix of Qx is not one of 2 terms"),
-        ('"method": "joint", ', "", "not a result file: method: Field required"),
-        (json.dumps(RESULT), "[]", "not a result file: Input should be"),
+        ('"method": "joint", ', "", "not a result file: method: is missing"),
+        (json.dumps(RESULT), "[]", "not a result file: must be an object"),
     ],
 )
 def test_damaged_file_is_rejected(tmp_path, old, new, words):

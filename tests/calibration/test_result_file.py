@@ -100,20 +100,20 @@ def test_result_is_written_with_schema_2(path, tmp_path):
 
 
 DAMAGE = [
-    ("accelerometers", [], "accelerometers: Input should be a valid dictionary"),
-    ("accelerometers", {"Qx": 3}, "accelerometers: Qx: Input should be"),
-    ("runs", None, "runs: Input should be a valid dictionary"),
+    ("accelerometers", [], "accelerometers: must be an object"),
+    ("accelerometers", {"Qx": 3}, "accelerometers: Qx: must be an object"),
+    ("runs", None, "runs: must be an object"),
     ("platform", {"platform.drift.north": {"u_prior": "much"}}, "platform: platform.drift.north: "),
-    ("platform", [{"u_prior": 1.0}], "platform: Input should be a valid dictionary"),
+    ("platform", [{"u_prior": 1.0}], "platform: must be an object"),
 ]
 OF_QX = [
-    ("budget", [], "budget: Input should be a valid dictionary"),
-    ("budget", {"K_II": 3}, "budget: K_II: Input should be a valid list"),
-    ("budget", {"K_II": [3]}, "budget: K_II: 0: Input should be"),
-    ("budget", {"K_II": [{"source": 3}]}, "budget: K_II: 0: source: Input should be a valid str"),
-    ("budget", {"K_II": [{"u": 1.0}]}, "budget: K_II: 0: source: Field required"),
+    ("budget", [], "budget: must be an object"),
+    ("budget", {"K_II": 3}, "budget: K_II: must be a list"),
+    ("budget", {"K_II": [3]}, "budget: K_II: 0: must be an object"),
+    ("budget", {"K_II": [{"source": 3}]}, "budget: K_II: 0: source: must be a string"),
+    ("budget", {"K_II": [{"u": 1.0}]}, "budget: K_II: 0: source: is missing"),
     ("coefficients", {"K_II": {"u_considered": []}}, "coefficients: K_II: "),
-    ("coefficients", 3, "coefficients: Input should be a valid dictionary"),
+    ("coefficients", 3, "coefficients: must be an object"),
 ]
 
 

@@ -107,11 +107,11 @@ def test_default_prior_is_in_u_where_force_is_known():
     # 1e-9 of the force to the fourth power over the slope of the model, which is K_I within 1e-3.
     of_fourth = 1e-9 * taken.corrected[0] ** 4
     assert taken.u == pytest.approx([of_fourth], rel=5e-3)
-    (warning,) = (w for w in taken.warnings if "are not stated" in w)
+    (warning,) = (w for w in taken.warnings if "no value is stated" in w)
     assert "K_OO, K_IP" in warning
     across = apply(result, "Qx", np.array([10.0]), ApplyOptions(output_axis="3 g"))
     assert across.u == pytest.approx([math.hypot(of_fourth, 2e-6 * 9.0)], rel=5e-3)
-    (warning,) = (w for w in across.warnings if "are not stated" in w)
+    (warning,) = (w for w in across.warnings if "no value is stated" in w)
     assert "K_IP" in warning
     assert "K_OO" not in warning
 
@@ -619,7 +619,7 @@ def test_calibrated_output_unit_is_corrected_directly(tmp_path):
     np.testing.assert_allclose(pl.read_csv(done.path)["n_corrected"], plain.corrected, rtol=1e-13)
     # A unit of another or an unstated output is rejected.
     for one, unit, said in (
-        (counting, "V", "'V' is not a unit of quantity in count"),
+        (counting, "V", "'V' cannot be converted to count"),
         (ready, "count", "the result does not state a different output for Qx"),
     ):
         with pytest.raises(CampaignError, match=said):

@@ -184,7 +184,7 @@ def test_only_earlier_export_is_overwritten(ending, tmp_path):
     path, options = tmp_path / f"a{ending}", {"form": "ros"} if ending == ".yaml" else {}
     cs.export(make_triad_result(), path, **options)
     content = path.read_bytes()
-    with pytest.raises(CounterspinError, match="set `overwrite=True`"):
+    with pytest.raises(CounterspinError, match="use `overwrite=True`"):
         cs.export(make_triad_result(), path, **options)
     cs.export(make_triad_result(), path, overwrite=True, **options)
     assert path.read_bytes() == content

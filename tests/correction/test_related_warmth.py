@@ -205,7 +205,10 @@ def test_default_slopes_are_in_u_where_temperature_is_known():
     unknown = apply(result, "A", [2.0])
     assert unknown.u == pytest.approx([0.0])
     (warning,) = unknown.warnings
-    assert "K_F.temperature, K_I.temperature are not stated, and the temperature is not" in warning
+    assert (
+        "no value is stated for K_F.temperature, K_I.temperature, and the temperature is not"
+        in warning
+    )
 
 
 def test_half_of_hysteresis_of_unknown_sign_is_in_u():

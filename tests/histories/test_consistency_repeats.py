@@ -74,8 +74,8 @@ def test_unstated_or_constant_factor_has_no_component():
     repeatability = evaluate_repeatability(unlabelled_results)
     assert list(repeatability.components) == ["day"]
     assert repeatability.not_told == {
-        "mounting": "6 of 6 results do not contain this value",
-        "turn_on": "6 of 6 results do not contain this value",
+        "mounting": "this value is missing in 6 of 6 results",
+        "turn_on": "this value is missing in 6 of 6 results",
     }
     results_of_one_day = [
         make_result(value, "2026-03-01", mounting="a", turn_on=str(value)) for value in VALUES[:4]

@@ -61,10 +61,7 @@ def test_accelerometer_error_causes_no_errors_of_readings(tmp_path):
     assert all(one.startswith("accelerometers.A.output.") for one in problem)
     # What its output is in holds whatever else is wrong: the reading's own mistake is told too.
     both = read_problems(tmp_path, wrong + RUN.replace("1.082532 ± 2e-6 mA", "1.08 V"))
-    assert (
-        both[1]
-        == "runs[0].reading: 'V' is not a unit of quantity in mA; use mA (run \"tumble 30\")"
-    )
+    assert both[1] == "runs[0].reading: 'V' cannot be converted to mA; use mA (run \"tumble 30\")"
 
 
 def test_reading_error_causes_no_unused_prior_error(tmp_path):
@@ -146,7 +143,7 @@ SLIPS = {
     ),
     "another unit": (
         HEAD + RUN.replace("2e-6 mA", "2e-6 V"),
-        "runs[0].reading: 'V' is not a unit of quantity in mA",
+        "runs[0].reading: 'V' cannot be converted to mA",
     ),
     "a position that is missing": (
         HEAD + RUN.replace("attitude", "# attitude"),
@@ -158,7 +155,7 @@ SLIPS = {
     ),
     "a zero of another unit": (
         HEAD.replace('"1.25 mA/g" }', '"1.25 mA/g", zero = "4 V" }') + RUN,
-        "accelerometers.A.output.zero: 'V' is not a unit of quantity in mA",
+        "accelerometers.A.output.zero: 'V' cannot be converted to mA",
     ),
     "an output without a sensitivity": (
         HEAD.replace(', sensitivity = "1.25 mA/g"', "") + RUN,

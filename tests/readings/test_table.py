@@ -380,7 +380,7 @@ SLIPS = {
     "u in another unit": (
         "angle,mA\n0,1.25\n",
         f'u = "5 uV"\n{SIMPLE}',
-        "readings.u: 'uV' is not a unit of quantity in mA",
+        "readings.u: 'uV' cannot be converted to mA",
     ),
     "a rate at rest": (
         "angle,w,mA\n0,0,1.25\n30,6.28,1.1\n",
@@ -396,7 +396,7 @@ SLIPS = {
     "another unit": (
         "angle,mA\n0,1.25 V\n",
         SIMPLE,
-        "readings.\"r.csv line 2\".reading.A: 'V' is not a unit of quantity in mA",
+        "readings.\"r.csv line 2\".reading.A: 'V' cannot be converted to mA",
     ),
     "a sheet of no workbook": (
         "angle,mA\n0,1.25\n",

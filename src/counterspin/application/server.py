@@ -393,7 +393,7 @@ def open_listener(port: int) -> socket.socket:
         listener.listen()
     except (OSError, OverflowError) as error:
         listener.close()
-        reason = getattr(error, "strerror", None) or str(error)
+        reason = (getattr(error, "strerror", None) or str(error)).rstrip(".")
         raise CounterspinError(
             f"port {port} is in use or not permitted ({reason}); give another "
             "`port`, or 0 for any free port",

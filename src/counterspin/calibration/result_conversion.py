@@ -93,7 +93,8 @@ def summarize(result: Result) -> str:
     findings = [f"{finding.subject}: {finding.text}" for finding in result.findings]
     remarks = [escape_controls(text[:_LINE_CHARACTERS]) for text in findings[:1]]
     if len(findings) > 1:
-        remarks.append(f"... {len(findings) - 1} more findings")
+        noun = "finding" if len(findings) == 2 else "findings"
+        remarks.append(f"... {len(findings) - 1} more {noun}")
     max_lines = MAX_CELL_LINES - 1 - len(remarks)
     if len(lines) > max_lines:
         lines[max_lines - 1 :] = [

@@ -187,6 +187,18 @@ def campaign_error(file: Path, problems: Sequence[str]) -> CampaignError:
     return CampaignError(str(file), [problem for problem, _ in pairs], [line for _, line in pairs])
 
 
+def _explain_syntax_error(message: str) -> tuple[str, str]:
+    """Return a message of the TOML parser in plain words, and the action to take."""
+    if message.startswith("Cannot declare"):
+        table_name = ".".join(re.findall(r"'([^']*)'", message))
+        return f"the table [{table_name}] occurs twice", "keep only one of them"
+    if message.startswith(("Cannot overwrite a value", "Duplicate inline table key")):
+        return "the key occurs twice", "keep only one of them"
+    if message.startswith("Expected ']'"):
+        return "']' is missing after the name of the table", "write, for example, [site]"
+    return message[:1].lower() + message[1:], "write text, such as a quantity, in quotation marks"
+
+
 def parse_document(content: bytes, source: str) -> dict[str, Any]:
     """Parse a TOML document; `source` is its name in messages."""
     code = "invalid-toml"
@@ -208,8 +220,7 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         match = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
         message, location = (match[1], match[2]) if match else (str(error), "TOML")
-        message = message[:1].lower() + message[1:]
-        advice = "write text, such as a quantity, in quotation marks"
+        message, advice = _explain_syntax_error(message)
         if "\\" in message or "hex value" in message:
             advice = (
                 "in double quotation marks, a backslash starts an escape sequence such as \\n;  "

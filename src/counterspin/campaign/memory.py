@@ -317,7 +317,7 @@ def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: b
     for target in targets:
         if target.exists() and not overwrite:
             raise ExistingFileError(
-                f"{target} already exists; choose another folder, or set `overwrite=True`"
+                f"{target} already exists; choose another folder, or use `overwrite=True`"
             )
     for file in (*campaign.files, *filter(None, [campaign.rest])):
         record = campaign.record_at(file)

@@ -472,7 +472,8 @@ def ledger_blocks(verified_ledger: VerifiedLedger) -> Iterator[Block]:
         ),
     )
     yield Paragraph(
-        f"{len(verified_ledger.entries)} entries, none of them altered. Hash of the last entry: "
+        f"Number of entries: {len(verified_ledger.entries)}. No entry was altered. Hash of the "
+        "last entry: "
         f"{verified_ledger.head}. Keep a copy of this hash elsewhere. If the last entries are "
         "removed or the whole ledger is rewritten, the hash will differ from your copy."
     )

@@ -135,8 +135,9 @@ def _add_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
     question = next((q for prefix, q in questions.items() if problem.startswith(prefix)), None)
     if question is None:
         return problem
+    sentence = problem if problem.endswith((".", "?")) else f"{problem}."
     return (
-        f'{problem} Set this value with `answer`, for example "{question.key}={question.example}".'
+        f'{sentence} Set this value with `answer`, for example "{question.key}={question.example}".'
     )
 
 

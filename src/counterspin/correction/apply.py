@@ -319,20 +319,17 @@ def _missing_input_warnings(name: str, symbols: Sequence[str]) -> Iterator[str]:
     for symbol_group, reason in (
         (
             product_symbols,
-            "the specific force along the other axes is not given (`pendulous`, `output_axis`)",
+            "the specific force along the pendulous and output axes is not given",
         ),
         (
             slope_symbols,
-            (
-                "the temperature is not given (`temperature`), or it differs from the "
-                "calibration temperature"
-            ),
+            ("the temperature is not given, or it differs from the calibration temperature"),
         ),
     ):
         if symbol_group:
             yield (
-                f"{name}: {', '.join(symbol_group)} are not stated, and {reason}, so u does "
-                "not include the uncertainty of these terms."
+                f"{name}: no value is stated for {', '.join(symbol_group)}, and {reason}, so u "
+                f"does not include this contribution."
             )
 
 

@@ -140,9 +140,11 @@ def apply_file(
             others = {name: name for name in result.triad.accelerometers}
         accelerometer = next(iter(others), None)
         if accelerometer is None or column is not None:
-            raise UsageError(
-                "apply", ["select the accelerometer to be corrected with `accelerometer`"]
+            problem = (
+                "select the accelerometer to be corrected with `accelerometer`; the result has "
+                f"{', '.join(result.accelerometers)}"
             )
+            raise UsageError("apply", [problem])
         column = others.pop(accelerometer)
     for name in (accelerometer, *others):
         make_instrument(result, name)  # refuse a wrong name before reading the file

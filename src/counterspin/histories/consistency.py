@@ -349,7 +349,7 @@ def _group_by_condition(
         if len(stated_labels) < len(labels):
             n_missing = len(labels) - len(stated_labels)
             undetermined_reasons[name] = (
-                f"{n_missing} of {len(labels)} results do not contain this value"
+                f"this value is missing in {n_missing} of {len(labels)} results"
             )
         elif len(set(stated_labels)) < 2:
             undetermined_reasons[name] = "all results have the same label"

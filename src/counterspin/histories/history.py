@@ -181,7 +181,7 @@ def _no_results_message(paths: Sequence[Path | str | Result], result_set: Result
     unused_results = [*result_set.damaged_files, *result_set.omitted_results]
     if not unused_results:
         return f"{inputs_text} contains no results. Write a result with `write_result`" + (
-            f" ({len(result_set.ignored_files)} other JSON files)"
+            f" (number of other JSON files: {len(result_set.ignored_files)})"
             if result_set.ignored_files
             else ""
         )

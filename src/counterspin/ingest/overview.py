@@ -66,10 +66,10 @@ def _describe_file(contents: FileContents) -> Iterator[str]:
     yield from (f"  {remark}" for remark in _find_sampling_remarks(guess))
     if contents.footer:
         footer_text = ", ".join(f"'{line.strip()[:40]}'" for line in contents.footer[:_MAX_WORDS])
-        yield (
-            f"  the last {len(contents.footer)} lines were ignored because they are not data "
-            f"rows: {footer_text}"
-        )
+        n_lines = len(contents.footer)
+        subject = "last line was" if n_lines == 1 else f"last {n_lines} lines were"
+        reason = "it is not a data row" if n_lines == 1 else "they are not data rows"
+        yield f"  the {subject} ignored because {reason}: {footer_text}"
     for reason in contents.unread_reasons:
         yield f"  part of the file could not be read: {reason}"
     yield from (f"  {remark}" for remark in contents.remarks)

@@ -19,7 +19,14 @@ from typing import Final
 from counterspin.campaign.field_types import COMPASS_ANGLES
 from counterspin.campaign.quantity import BARE_NUMBER, normalize_latitude, parse_quantity
 from counterspin.campaign.settings import OBSERVABLES
-from counterspin.errors import CampaignError, InputError, MissingAnswersError, Problem, error_code
+from counterspin.errors import (
+    CampaignError,
+    InputError,
+    InvalidAnswersError,
+    MissingAnswersError,
+    Problem,
+    error_code,
+)
 from counterspin.frozen import frozen
 from counterspin.ingest.column_roles import (
     NO_COLUMN,
@@ -173,8 +180,10 @@ class AnsweredDraft:
             for question in self.open_questions
             if not any(line.startswith(f"{question.key}: ") for line in self.problems)
         ]
-        if missing_answers or self.problems:
-            raise MissingAnswersError("init", [*missing_answers, *self.problems])
+        if self.problems:
+            raise InvalidAnswersError("init", [*missing_answers, *self.problems])
+        if missing_answers:
+            raise MissingAnswersError("init", missing_answers)
         return self.answers_and_guesses
 
 

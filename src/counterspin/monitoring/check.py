@@ -148,7 +148,9 @@ def _select_run(
                 return run
     if len(candidates) == 1:
         return candidates[0]
-    raise UsageError("`run`", [f"name a run: {', '.join(runs_by_name) or 'no run has a record'}"])
+    names_text = ", ".join(runs_by_name)
+    problem = f"name a run: {names_text}" if names_text else "no run of the campaign has a record"
+    raise UsageError("`run`", [problem])
 
 
 @frozen

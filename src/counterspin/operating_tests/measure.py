@@ -69,12 +69,13 @@ def operating(
     """
     path = to_path(file, "a table, or the path of its file")
     if (input is None) == (time is None):
-        raise UsageError("operating", ["give an input column, or a time column for a warm-up test"])
+        problem = "give an input column, or a time column for a warm-up test, but not both"
+        raise UsageError("operating", [problem])
     if output in (input, time):
         problem = f'"{output}" was given for both columns; give two different columns'
         raise UsageError("operating", [problem])
     if full_scale is not None and not 0.0 < full_scale < math.inf:
-        raise UsageError("operating", ["full_scale: must be greater than zero"])
+        raise UsageError("operating", ["`full_scale`: must be greater than zero"])
     x, outputs, digest = _read_columns(path, str(input or time), output)
     try:
         if input is not None:

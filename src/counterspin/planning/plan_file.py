@@ -381,8 +381,9 @@ def _rate_shortage_reason(limits: Limits) -> str:
             f"{len(rates)} rates with a ratio of at least {limits.min_rate_ratio:g}"
         )
     if limits.min_revolutions * 2.0 * math.pi / rates[-1] > limits.max_duration * (1.0 + 1e-9):
+        rate_text = f"lowest of {min_rates} different rates" if min_rates > 1 else "highest rate"
         return (
-            f"{limits.min_revolutions:g} revolutions at the lowest of {min_rates} different rates, "
+            f"{limits.min_revolutions:g} revolutions at the {rate_text}, "
             f"{rates[-1]:.6g} rad/s, take longer than the limit longest_run"
         )
     return ""

@@ -131,10 +131,15 @@ def _check_redundancy(view: AccelerometerView) -> list[Finding]:
         or count > len(free_symbols)
     ):
         return []
+    count_text = "One reading" if count == 1 else f"{count} readings"
+    coefficients_text = (
+        f"the coefficient that it determines ({free_symbols[0]})"
+        if count == len(free_symbols) == 1
+        else f"the {len(free_symbols)} coefficients that they determine ({', '.join(free_symbols)})"
+    )
     text = (
-        f"{count} readings cannot test the {len(free_symbols)} coefficients that they determine "
-        f"({', '.join(free_symbols)}), because the model would fit the readings exactly, "
-        "whatever their errors. Take more readings."
+        f"{count_text} cannot test {coefficients_text}, because the model would fit the readings "
+        "exactly, whatever their errors. Take more readings."
     )
     return [Finding(code="unjudged-readings", subject=view.name, text=text)]
 

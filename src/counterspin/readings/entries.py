@@ -103,7 +103,7 @@ def find_contradictions(run: Run) -> Iterator[Contradiction]:
         ),
         (
             not is_static and not is_vibration and not is_rotating,
-            Problem(f"is missing: a run with motion {run.motion} requires a rate", "missing-key"),
+            Problem(f'is missing: a run with motion "{run.motion}" requires a rate', "missing-key"),
             "rate motion",
         ),
         (
@@ -164,7 +164,10 @@ def collect_readings(
             blank_paths.append((*path, "reading"))
     if blank_paths and turns is None:
         other_count = len(blank_paths) - 1
-        others_text = f", and {other_count} other readings have none either" if other_count else ""
+        others_text = ""
+        if other_count:
+            others = "another reading has" if other_count == 1 else f"{other_count} others have"
+            others_text = f", and {others} none either"
         message = f"has no value yet{others_text}; enter the reading, or add [truth] to simulate it"
         problems.add(blank_paths[0], message, "missing-value")
     return tuple(readings)

@@ -319,11 +319,16 @@ def _variance_share(rows: np.ndarray, total_variance: float) -> float:
 def _check_values(campaign: Campaign) -> None:
     empty_names = [reading.name for reading in campaign.all_readings if math.isnan(reading.value)]
     if empty_names:
+        other_count = len(empty_names) - 1
+        subject = {
+            0: f'"{empty_names[0]}" has',
+            1: f'"{empty_names[0]}" and another reading have',
+        }.get(other_count, f'"{empty_names[0]}" and {other_count} other readings have')
         raise CampaignError(
             str(campaign.path),
             [
-                f'"{empty_names[0]}" and {len(empty_names) - 1} other readings have no value yet: '
-                "enter the readings, or simulate them from [truth] with `counterspin simulate`"
+                f"{subject} no value yet: enter the missing values, or simulate them from [truth] "
+                "with `counterspin simulate`"
             ],
             code="missing-value",
         )

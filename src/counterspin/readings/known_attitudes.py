@@ -236,9 +236,9 @@ class Readings:
         if dof >= 0.5:
             return ""
         return (
-            f"{self.accelerometer}: {self.size} readings ({self.motion}) without a stated "
-            "uncertainty cannot determine both the unknowns and the noise; state the "
-            "uncertainty, or take more readings than there are unknowns"
+            f"{self.accelerometer}: {self.size} reading{'s' * (self.size != 1)} ({self.motion}) "
+            "without a stated uncertainty cannot determine both the unknowns and the noise; state "
+            "the uncertainty, or take more readings than there are unknowns"
         )
 
     def divergence_message(self, n_iterations: int) -> str:  # noqa: ARG002

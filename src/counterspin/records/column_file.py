@@ -416,7 +416,8 @@ class ColumnFile(ABC):
         from difflib import get_close_matches
 
         missing_text, existing_text = format_names(missing_names), format_names(self.names)
-        message = f"the file has no column {missing_text}; it has {existing_text}."
+        noun = "column" if len(missing_names) == 1 else "columns"
+        message = f"the file has no {noun} {missing_text}; it has {existing_text}."
         matches = get_close_matches(missing_names[0], self.names, n=1)
         return message + (f" Did you mean '{matches[0]}'?" if matches else "")
 

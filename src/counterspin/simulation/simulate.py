@@ -172,7 +172,7 @@ def _check_targets(paths: Sequence[Path], description_path: Path, *, overwrite: 
         )
     if existing_files and not overwrite:
         raise ExistingFileError(
-            f"{existing_files[0]} already exists; choose another output folder, or set "
+            f"{existing_files[0]} already exists; choose another output folder, or use "
             "`overwrite=True`"
         )
 

@@ -437,7 +437,8 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
     ]
     n_failed = len(batch.failed)
     n_calibrated = len(batch.campaigns) - n_failed
-    blocks.append(Paragraph(f"{n_calibrated} campaigns calibrated, {n_failed} failed.", "quiet"))
+    noun = "campaign" if n_calibrated == 1 else "campaigns"
+    blocks.append(Paragraph(f"{n_calibrated} {noun} calibrated, {n_failed} failed.", "quiet"))
     return blocks
 
 
