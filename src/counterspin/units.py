@@ -411,11 +411,8 @@ def instrument_unit_in_si(unit: str) -> tuple[float, SiUnit, int]:
         power.is_integer() for power in (*field_powers.values(), gravity)
     ):
         raise ValueError(f"{unit!r} is not a product of integer powers of rad, m, s, A, V and g")
-    return (
-        factor,
-        SiUnit(**{field: int(power) for field, power in field_powers.items()}),
-        int(gravity),
-    )
+    converted_unit = SiUnit(**{field: int(power) for field, power in field_powers.items()})
+    return factor, converted_unit, int(gravity)
 
 
 def to_si(value: float, unit: str, gravity: float) -> float:

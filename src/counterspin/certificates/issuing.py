@@ -232,9 +232,7 @@ def _xml_and_pdf_paths(output: Path) -> tuple[Path, Path]:
 
 def paired_path(output: Path) -> Path:
     """Return the path of the PDF for a path of an XML, and vice versa."""
-    return output.with_suffix(
-        next(suffix for suffix in FILE_SUFFIXES if suffix != output.suffix.lower())
-    )
+    return output.with_suffix(".pdf" if output.suffix.lower() == ".xml" else ".xml")
 
 
 def certificate(

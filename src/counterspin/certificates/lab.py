@@ -151,11 +151,8 @@ class CertificateSettings(SettingsSection):
         if self.end < self.begin:
             yield ("end",), Problem("lies before certificate.begin", "conflicting-values"), "begin"
         if self.received is not None and self.received > self.begin:
-            yield (
-                ("received",),
-                Problem("lies after certificate.begin", "conflicting-values"),
-                "begin",
-            )
+            problem = Problem("lies after certificate.begin", "conflicting-values")
+            yield ("received",), problem, "begin"
         ledger_path = Path(self.ledger or ".")
         if ledger_path.is_absolute() or ".." in ledger_path.parts:
             message = "must be in the same folder as this file, or in a subfolder"

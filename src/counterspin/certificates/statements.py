@@ -86,19 +86,15 @@ def certificate_statements(
     return [statement for statement in all_statements if statement.lines]
 
 
-def _document_statements(lab: Lab, certified_result: Result, issue: Issue) -> Iterator[Statement]:
+def _document_statements(lab: Lab, result: Result, issue: Issue) -> Iterator[Statement]:
     settings = lab.certificate
     yield Statement(
         "Draft", [certificate_text.DRAFT_STATEMENT] if issue.is_draft else [], valid=False
     )
     yield Statement("Amendment", amendment_lines(issue.amended_certificate), _QUALITY_STANDARDS)
-    misfit_lines = certificate_text.misfit_lines(
-        certified_result, lab.certified_names(certified_result)
-    )
+    misfit_lines = certificate_text.misfit_lines(result, lab.certified_names(result))
     yield Statement("Accepted misfit", misfit_lines)
-    yield Statement(
-        "Result file", certificate_text.seal_lines(certified_result, issue.acceptance_reason)
-    )
+    yield Statement("Result file", certificate_text.seal_lines(result, issue.acceptance_reason))
     yield Statement(
         certificate_text.TRACEABILITY_HEADING,
         [settings.traceability],
@@ -132,10 +128,8 @@ def _value_statements(lab: Lab, result: Result, certified_result: Result) -> Ite
         for line in certificate_text.prior_lines(name, certified_result, settings)
     ]
     yield Statement(certificate_text.PRIOR_INFORMATION_HEADING, prior_sentences)
-    evidence_sentences = [*evidence_lines(certified_result.assumed, lab.evidence)]
-    yield Statement(
-        certificate_text.FIXED_TERMS_HEADING, evidence_sentences, language=settings.language
-    )
+    evidence = [*evidence_lines(certified_result.assumed, lab.evidence)]
+    yield Statement(certificate_text.FIXED_TERMS_HEADING, evidence, language=settings.language)
     default_evidence = default_evidence_lines(lab, certified_result)
     yield Statement(
         certificate_text.DEFAULT_EVIDENCE_HEADING, default_evidence, language=settings.language
@@ -164,13 +158,11 @@ def _value_statements(lab: Lab, result: Result, certified_result: Result) -> Ite
         )
 
 
-def _conformity_statements(
-    lab: Lab, certified_result: Result, verdicts: Verdicts
-) -> Iterator[Statement]:
+def _conformity_statements(lab: Lab, result: Result, verdicts: Verdicts) -> Iterator[Statement]:
     for name, conformity_by_symbol in verdicts.items():
         for symbol, conformity in conformity_by_symbol.items():
-            coefficient = certified_result.accelerometers[name].coefficients.get(symbol)
-            item_id = accelerometer_item_id(lab, certified_result, name)
+            coefficient = result.accelerometers[name].coefficients.get(symbol)
+            item_id = accelerometer_item_id(lab, result, name)
             yield Statement(
                 f"{certificate_text.CONFORMITY_HEADING}, {symbol} of {name}",
                 [

@@ -234,14 +234,12 @@ def _compare_pair(
         name, (first_result, second_result), (first_estimates, second_estimates), covariance
     )
     difference = second_estimates.values - first_estimates.values
-    uncertainties = np.sqrt(
-        np.diag(first_estimates.covariance) + np.diag(second_estimates.covariance)
-    )
-    chi2, dof, p = chi_square(difference, covariance, uncertainties)
+    total_u = np.sqrt(np.diag(first_estimates.covariance) + np.diag(second_estimates.covariance))
+    chi2, dof, p = chi_square(difference, covariance, total_u)
     differences = {}
     for i, symbol in enumerate(terms):
         variance = float(covariance[i, i])
-        u = variance**0.5 if variance > _NEGLIGIBLE_VARIANCE * uncertainties[i] ** 2 else 0.0
+        u = variance**0.5 if variance > _NEGLIGIBLE_VARIANCE * total_u[i] ** 2 else 0.0
         z = float(difference[i]) / u if u else None
         differences[symbol] = (float(difference[i]), u, z)
     agreement = PairAgreement(

@@ -77,6 +77,5 @@ def degrees_of_equivalence(values: Array, covariance: Array, weights: Array) -> 
     weights: Weights of the measurements in the reference value, shape (n,).
     """
     projection = np.eye(values.size) - weights
-    return projection @ values, np.sqrt(
-        np.maximum(np.diag(projection @ covariance @ projection.T), 0.0)
-    )
+    variances = np.diag(projection @ covariance @ projection.T)
+    return projection @ values, np.sqrt(np.maximum(variances, 0.0))

@@ -85,9 +85,8 @@ def intercompare(
         judge_result(result if isinstance(result, Result) else Result.read(result))
         for result in results
     ]
-    laboratories = dict(
-        zip(_laboratory_names(results, loaded_results), loaded_results, strict=True)
-    )
+    names = _laboratory_names(results, loaded_results)
+    laboratories = dict(zip(names, loaded_results, strict=True))
     _require_comparable(laboratories)
     reference_values = [
         _evaluate_reference_value(accelerometer, symbol, laboratories)
@@ -271,14 +270,10 @@ def _estimate_covariance(
         pair = estimates[i], estimates[j]
         if None not in (laboratories[i], laboratories[j]) and laboratories[i] != laboratories[j]:
             pair = _keep_instrument_sources(pair[0]), _keep_instrument_sources(pair[1])
-        difference_covariance, source_names = covariance_of_difference(
-            *pair, Relation("independent")
-        )
+        pair_covariance, source_names = covariance_of_difference(*pair, Relation("independent"))
         shared_names |= dict.fromkeys(source_names)
         variance_sum = covariance[i, i] + covariance[j, j]
-        covariance[i, j] = covariance[j, i] = 0.5 * (
-            variance_sum - float(difference_covariance[0, 0])
-        )
+        covariance[i, j] = covariance[j, i] = 0.5 * (variance_sum - float(pair_covariance[0, 0]))
     return covariance, list(shared_names)
 
 

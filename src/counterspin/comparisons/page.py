@@ -54,6 +54,7 @@ def comparison_blocks(comparison: ResultComparison) -> Iterator[Block]:
     for result in comparison.results:
         if result.gravity is not None:
             yield Paragraph(_conversion_note(comparison, result, result.gravity))
+    result_names = short_names([result.name for result in comparison.results])
     for name in dict.fromkeys(coefficient.accelerometer for coefficient in comparison.coefficients):
         yield Heading(name)
         coefficients = [
@@ -62,9 +63,7 @@ def comparison_blocks(comparison: ResultComparison) -> Iterator[Block]:
             if coefficient.accelerometer == name
         ]
         yield _coefficient_table(comparison, coefficients)
-        yield from _k_ii_plots(
-            coefficients, short_names([result.name for result in comparison.results])
-        )
+        yield from _k_ii_plots(coefficients, result_names)
     yield Paragraph(
         "The number after ± is the standard uncertainty (k = 1). Differences are relative to "
         f"{_reference_names(comparison)}. The uncertainties of the differences account for sources "

@@ -227,9 +227,8 @@ def _fit_with_other_records(
         except CounterspinError:
             other_names = []
     names = list_displayed_names(campaign)
-    return other_names, current_estimates(fit, names) if fit else undetermined_estimates(
-        campaign, names
-    )
+    estimates = current_estimates(fit, names) if fit else undetermined_estimates(campaign, names)
+    return other_names, estimates
 
 
 def _forecast_estimates(
@@ -256,10 +255,8 @@ def _forecast_estimates(
         listed_run.name for listed_run in forecast_campaign.runs if listed_run.duration is None
     ]
     if runs_without_duration:
-        return (
-            [],
-            f"the description does not state the duration of {', '.join(runs_without_duration)}",
-        )
+        names_text = ", ".join(runs_without_duration)
+        return [], f"the description does not state the duration of {names_text}"
     try:
         forecast_campaign = add_pose_noise(forecast_campaign)
         prediction = forecast(forecast_campaign, sampling_rate=sampling_rate)

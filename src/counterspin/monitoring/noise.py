@@ -256,9 +256,7 @@ def _guess_signals(
     if varying_signals and not columns:
         # Zeros of a residual, or of an axis that is not connected.
         varying_columns = {signal.column for signal in varying_signals}
-        unused_columns += [
-            signal.column for signal in signals if signal.column not in varying_columns
-        ]
+        unused_columns += [s.column for s in signals if s.column not in varying_columns]
         signals = varying_signals
     return signals, unused_columns
 

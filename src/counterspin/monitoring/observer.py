@@ -388,10 +388,8 @@ def _poll_file(watched_run: _WatchedRun) -> tuple[bool, str | None]:
         watched_run.reset()
         watched_run.is_stale, watched_run.wait_reason = False, _NO_FILE_REASON
         watched_run.file_error = watched_run.record_error = None
-        if watched_run.table is not None:
-            watched_run.table = GrowingTable(
-                path, watched_run.table.names, watched_run.table.dialect
-            )
+        if (table := watched_run.table) is not None:
+            watched_run.table = GrowingTable(path, table.names, table.dialect)
         return has_disappeared, "has disappeared" if has_disappeared else None
     except (OSError, RecordError) as error:
         reason = error.strerror if isinstance(error, OSError) else None

@@ -99,13 +99,12 @@ def rotation_fields(rotation: SpindleFit | None) -> dict[str, Any]:
     """Return the fields of `RunState` that follow from the recorded angle."""
     if rotation is None:
         return {}
-    largest_ripple = max(
-        rotation.spindle.ripples, key=lambda ripple: ripple.amplitude, default=None
-    )
+    spindle = rotation.spindle
+    largest_ripple = max(spindle.ripples, key=lambda ripple: ripple.amplitude, default=None)
     return {
-        "rate": rotation.spindle.rate,
+        "rate": spindle.rate,
         "u_rate": rotation.u_rate,
-        "drift": rotation.spindle.drift,
+        "drift": spindle.drift,
         "ripple": largest_ripple.amplitude if largest_ripple else None,
         "harmonic": largest_ripple.harmonic if largest_ripple else None,
         "angle_rms": rotation.rms,
@@ -320,9 +319,7 @@ def make_poses_state(
     assert pose_record is not None
     poses, report = pose_record.poses, pose_record.report
     names = {located_pose.pose[0].name for located_pose in located_poses}
-    residuals = (
-        [residual for name, residual in _pose_residuals(fit) if name in names] if fit else []
-    )
+    residuals = [value for name, value in _pose_residuals(fit) if name in names] if fit else []
     return RunState(
         run=record.name,
         record=record_name(record.record, campaign.folder),
