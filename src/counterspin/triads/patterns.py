@@ -32,20 +32,19 @@ def pose_candidates(
     """
     point = poses.at(fit.model, fit.solution.estimate)
     for axis_index, name in enumerate(poses.accelerometers):
+        projection = point.projection[:, axis_index]
         forces = point.products[:, axis_index, [*TERMS].index("K_I")]
         for kind, symbol, column in time_patterns(poses, forces):
-            yield Alternative(
-                kind, name, symbol, {group_index: point.projection[:, axis_index] * column}
-            )
+            yield Alternative(kind, name, symbol, {group_index: projection * column})
         products: dict[str, Array] = {
-            symbol: point.projection[:, axis_index] * point.products[:, axis_index, index]
+            symbol: projection * point.products[:, axis_index, index]
             for index, symbol in enumerate(TERMS)
         }
         for symbol in ACCELEROMETER_TERMS:
             if (name, symbol) in estimated_keys and (name, symbol) not in tested_keys:
                 continue
             condition, factor = condition_of(symbol), design_factor(poses, symbol)
-            # A slope with time that is not stated is the drift.
+            # A slope with time without a stated value is the drift.
             if condition != "time" and (not condition or np.ptp(factor) > 0.0):
                 column = products[coefficient_of(symbol)] * factor
                 yield Alternative(TERM, name, symbol, {group_index: column})

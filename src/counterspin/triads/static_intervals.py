@@ -145,9 +145,8 @@ def find_poses(
     step = _sampling_step(time[valid_rows], rest)
     window = min(max(_WINDOW, _MIN_ROWS * step), rest)
     resolutions = np.array([estimate_resolution(axis) for axis in values[valid_rows].T])
-    spikes = _outlier_mask(
-        values[valid_rows], max(_MIN_SPIKE_ROWS, round(window / step)), resolutions
-    )
+    block_rows = max(_MIN_SPIKE_ROWS, round(window / step))
+    spikes = _outlier_mask(values[valid_rows], block_rows, resolutions)
     is_regular = ~spikes.any(axis=1)
     spike_times, valid_rows = time[valid_rows[~is_regular]], valid_rows[is_regular]
     t, x = time[valid_rows], values[valid_rows]
@@ -180,8 +179,8 @@ def find_poses(
     return StaticIntervals(
         start=t[starts],
         end=t[ends - 1],
-        mean=np.array([interval_values.mean(axis=0) for interval_values in interval_rows]),
-        scatter=np.array([interval_values.std(axis=0) for interval_values in interval_rows]),
+        mean=np.array([rows.mean(axis=0) for rows in interval_rows]),
+        scatter=np.array([rows.std(axis=0) for rows in interval_rows]),
         count=(ends - starts).astype(float),
         threshold=float(level_threshold),
         time=time,
@@ -414,9 +413,8 @@ def _interval_faults(
                 "largest or smallest of the record, which suggests that the range was exceeded."
             )
             continue
-        constant_axes = np.flatnonzero(
-            is_testable & (values[start:end] == values[start]).all(axis=0)
-        )
+        is_constant = (values[start:end] == values[start]).all(axis=0)
+        constant_axes = np.flatnonzero(is_testable & is_constant)
         if len(constant_axes):
             faults[index] = (
                 f"axis {constant_axes[0] + 1} does not change while other axes do, which "
