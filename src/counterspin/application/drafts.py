@@ -225,9 +225,8 @@ def _unwrap_angle(values: Array) -> Array:
     steps = np.diff(values)
     finite_steps = steps[np.isfinite(steps)]
     typical_step = median(finite_steps) if finite_steps.size else 0.0
-    jumps = np.where(
-        np.abs(steps - typical_step) > 10.0 * abs(typical_step), steps - typical_step, 0.0
-    )
+    deviations = steps - typical_step
+    jumps = np.where(np.abs(deviations) > 10.0 * abs(typical_step), deviations, 0.0)
     return np.asarray(values - np.concatenate([[0.0], np.nancumsum(jumps)]), dtype=float)
 
 
@@ -267,9 +266,7 @@ def _find_extrema(values: Array) -> tuple[list[tuple[float, float] | None], floa
     segments = np.array_split(values, max(1, min(_N_PREVIEW_SEGMENTS, len(values))))
     finite_segments = [segment[np.isfinite(segment)] for segment in segments]
     finite_values = values[np.isfinite(values)]
-    half_range = (
-        float(finite_values.max() - finite_values.min()) / 2.0 if finite_values.size else 0.0
-    )
+    half_range = float(np.ptp(finite_values)) / 2.0 if finite_values.size else 0.0
     return [
         (float(segment.min()), float(segment.max())) if segment.size else None
         for segment in finite_segments

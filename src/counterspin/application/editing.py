@@ -331,11 +331,8 @@ def save_text(
     path, content = _text_path(app, file), _parse_file_text(app, file, text, result)
     if result is None and path.name != DESCRIPTION_NAME and not is_plan(content.document):
         raise RequestError(f"{file}: a plan requires [limits] and [goal]; nothing was saved")
-    return {
-        **content.to_dict(),
-        "file": file,
-        "version": app.folder.write(file, text, version).version,
-    }
+    saved_file = app.folder.write(file, text, version)
+    return {**content.to_dict(), "file": file, "version": saved_file.version}
 
 
 def _text_path(app: AppState, file: str) -> Path:

@@ -219,9 +219,8 @@ def _make_history_page(app: AppState, names: Sequence[str], term: str) -> Page:
     except CounterspinError as error:
         # Results without serial numbers are not an error: the page states that there is no history.
         return Page("History", [Paragraph(str(error), "warning")], command, empty=True)
-    return Page(
-        f"History of {term}", _typeset_blocks(list(history_blocks(coefficient_history))), command
-    )
+    blocks = _typeset_blocks(list(history_blocks(coefficient_history)))
+    return Page(f"History of {term}", blocks, command)
 
 
 def _make_forecast_page(app: AppState, names: Sequence[str], _: str) -> PageCalculation:

@@ -239,10 +239,9 @@ def make_planned_page(
         return Job(number, name, "", plan_command(file, None), "plan")
 
     def store_page(planned_campaign: PlannedCampaign) -> None:
-        blocks = list(map(typeset_block, plan_blocks(planned_campaign.result)))
-        store(
-            app.folder.relative_paths(render_fragment(blocks, title=planned_campaign.result.title))
-        )
+        result = planned_campaign.result
+        blocks = list(map(typeset_block, plan_blocks(result)))
+        store(app.folder.relative_paths(render_fragment(blocks, title=result.title)))
 
     job = app.jobs.begin(make_job, run_plan, document, file, on_done=store_page)
     return {"job": job.to_dict(), "html": ""}
