@@ -236,6 +236,8 @@ def test_rejects_unusable_frame(frame, words, message):
         ({"unit": "kg"}, "`unit`: 'kg': a unit of length, velocity"),
         ({"rate": "1 Hz"}, "rate"),
         ({"gravity": "9.8 s"}, "gravity"),
+        ({"gravity": "50 m/s^2"}, "`gravity`: 50 m/s.2 is not a possible value"),
+        ({"gravity": "0 m/s^2"}, "`gravity`: must be greater than zero"),
     ],
 )
 def test_rejects_invalid_arguments(words, message):

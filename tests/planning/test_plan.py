@@ -16,7 +16,12 @@ from raising import raises
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
-from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
+from counterspin.errors import (
+    CampaignError,
+    CounterspinError,
+    NotIdentifiableError,
+    UsageError,
+)
 from counterspin.planning.design import Design
 from counterspin.planning.forecast import forecast, planned_series
 from counterspin.planning.plan import check, plan, write_campaign
@@ -361,6 +366,9 @@ def test_check_of_incomplete_campaign_raises(plan_starter, tmp_path):
     with pytest.raises(CampaignError, match="neither duration nor revolutions") as raised:
         check(tmp_path)
     assert any("sampling_rate" in line for line in raised.value.problems)
+    for argument in ("sampling_rate", "revolutions"):
+        with pytest.raises(UsageError, match=f"`{argument}`: must be greater than zero"):
+            check(tmp_path, **{argument: 0.0})
     checked = check(tmp_path, sampling_rate=50.0, revolutions=20.0)
     assert all(run.revolutions == pytest.approx(20.0) for run in checked.runs)
     assert sum("assumes" in warning for warning in checked.warnings) == len(checked.runs)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -13,7 +13,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.field_types import parse_exact
+from counterspin.campaign.field_types import check_gravity, parse_exact
 from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES
 from counterspin.campaign.static_noise import static_signals
 from counterspin.errors import CampaignError, RecordError, UsageError, error_code
@@ -114,7 +114,7 @@ def noise(
     if file is not None and not file.exists():
         raise RecordError(f"{record}: file not found", code="file-not-found")
     source = file if file is not None else make_memory_table("record in memory", record)
-    gravity_value = _parse_quantity("gravity", gravity, "m/s^2") or STANDARD_GRAVITY
+    gravity_value = _parse_quantity("gravity", gravity, "m/s^2", check_gravity) or STANDARD_GRAVITY
     spindle_rate = _parse_quantity("rate", rate, "rad/s")
     unused_columns: list[str] = []
     with single_blas_thread():
@@ -154,11 +154,13 @@ def noise(
     )
 
 
-def _parse_quantity(argument_name: str, text: str | None, unit: str) -> float | None:
+def _parse_quantity(
+    argument_name: str, text: str | None, unit: str, check: Callable[[float], float] = abs
+) -> float | None:
     if text is None:
         return None
     try:
-        return abs(parse_exact(text, unit))
+        return abs(check(parse_exact(text, unit)))
     except ValueError as error:
         raise CampaignError(
             "noise", [f"`{argument_name}`: {error}"], code=error_code(error)

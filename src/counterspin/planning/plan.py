@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.campaign.quantity import describe_attitude
-from counterspin.errors import ExistingFileError, NotIdentifiableError
+from counterspin.errors import ExistingFileError, NotIdentifiableError, UsageError
 from counterspin.frozen import frozen
 from counterspin.input import to_path
 from counterspin.output import make_folder, write_text
@@ -231,7 +231,12 @@ def check(
     ------
     CampaignError
         If the description is wrong, or lacks data that a forecast needs.
+    UsageError
+        If an argument is not greater than zero.
     """
+    for argument, value in (("sampling_rate", sampling_rate), ("revolutions", revolutions)):
+        if value is not None and not value > 0.0:
+            raise UsageError("forecast", [f"`{argument}`: must be greater than zero"])
     campaign = add_pose_noise(read_campaign(where))
     runs_without_duration = [run for run in campaign.runs if run.duration is None]
     if revolutions is not None:
