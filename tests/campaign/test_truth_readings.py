@@ -58,7 +58,7 @@ SLIPS = {
     "[truth.platform]\ntilt = { nort = '1 arcsec' }": (
         'truth.platform.tilt.nort: unknown key; did you mean "north"?'
     ),
-    "[truth.noise]\nreading = '1 uV'": "truth.noise.reading: 'uV' is not a unit",
+    "[truth.noise]\nreading = '1 uV'": "truth.noise.reading: 'uV' cannot be converted to mA",
     "[truth.noise]\nreading = '-1 uA'": "a standard deviation cannot be negative",
     "[truth.noise]\nreading = { B = '1 uA' }": 'no accelerometer is named "B"',
 }
