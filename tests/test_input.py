@@ -61,6 +61,37 @@ def test_ambiguous_json_raises(text, words):
             parse_json(document)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"a": 1 "b": 2}', "line 1, column 9: a comma or a closing bracket is missing"),
+        ('{"a": 1,\n "b" 2}', "line 2, column 6: a colon is missing after the key"),
+        ('{"a": 1,\n b: 2}', "line 2, column 2: a key in double quotation marks is missing"),
+        ('{"a": ,}', "line 1, column 7: a value is missing, or is not a valid value"),
+        ('{"a": maybe}', "line 1, column 7: a value is missing, or is not a valid value"),
+        ('{"a": "x\ny"}', "line 1, column 9: a text contains a line break or another control"),
+        (r'{"a": "C:\data", "b": 1}', "line 1, column 10: a text contains an invalid escape"),
+        ('{"a": 1}\n{"b": 2}', "line 2, column 1: the document ends here, but more text follows"),
+    ],
+)
+def test_invalid_json_raises_with_position(text, words):
+    with pytest.raises(ValueError) as caught:
+        parse_json(text)
+    assert str(caught.value).startswith(words)
+
+
+def test_cut_json_is_recognised_at_every_length():
+    text = '{"a": [1.5e-3, -2, true, null],\n "text\\u00b1": {"b": "\\n"}}\n'
+    for length in range(len(text.rstrip())):
+        lines = text[:length].rstrip().split("\n")
+        with pytest.raises(ValueError) as caught:
+            parse_json(text[:length])
+        assert str(caught.value) == (
+            f"the end of the file is missing: it ends at line {len(lines)}, "
+            f"column {len(lines[-1])}"
+        )
+
+
 def test_valid_json_is_parsed():
     assert parse_json(b'{"a": [1, 2.5, null, -3e400], "b": {"a": true}}') == {
         "a": [1, 2.5, None, -float("inf")],

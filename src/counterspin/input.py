@@ -61,6 +61,24 @@ _SIGNATURES: Final = (
     (b"{", "JSON"),
 )
 
+#: Length of the longest escape sequence in JSON.
+_ESCAPE_LENGTH: Final = len(r"\u0000")
+
+#: Words, and parts of numbers, that the parser does not accept if they are cut.
+_VALUE_PARTS: Final = ("true", "false", "null", "-", ".", "e+", "e-", "E+", "E-")
+
+#: Start of a message of the JSON parser -> message in plain words.
+_JSON_ERRORS: Final = (
+    ("Expecting ','", "a comma or a closing bracket is missing"),
+    ("Expecting ':'", "a colon is missing after the key"),
+    ("Expecting property name", "a key in double quotation marks is missing"),
+    ("Expecting value", "a value is missing, or is not a valid value"),
+    ("Illegal trailing comma", "a comma precedes a closing bracket; remove the comma"),
+    ("Invalid control character", "a text contains a line break or another control character"),
+    ("Invalid \\", "a text contains an invalid escape sequence after a backslash"),
+    ("Extra data", "the document ends here, but more text follows"),
+)
+
 
 @frozen
 class FileIdentity:
@@ -108,10 +126,10 @@ def read_file(path: Path, max_bytes: int = MAX_DOCUMENT_BYTES) -> bytes:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the document in a JSON text; ValueError if programs may read it differently.
+    """Return the document in a JSON text; ValueError if it is not JSON.
 
-    Duplicate keys, NaN, infinity, integers with too many digits, and nesting too deep for the
-    parser are rejected.
+    Texts that programs may read differently are rejected, too: duplicate keys, NaN, infinity,
+    integers with too many digits, and nesting too deep for the parser.
     """
     try:
         return json.loads(
@@ -122,6 +140,25 @@ def parse_json(text: str | bytes) -> Any:
         )
     except RecursionError as error:
         raise ValueError("the document is nested too deeply") from error
+    except json.JSONDecodeError as error:
+        raise ValueError(_describe_json_error(error)) from error
+
+
+def _describe_json_error(error: json.JSONDecodeError) -> str:
+    """Return what is wrong with a JSON text, with line and column."""
+    text, rest = error.doc.rstrip(), error.doc[error.pos :].strip()
+    is_cut = (
+        not rest
+        or error.msg.startswith("Unterminated string")
+        or any(word.startswith(rest) for word in _VALUE_PARTS)
+        or (error.msg.startswith("Invalid \\") and len(rest) < _ESCAPE_LENGTH)
+    )
+    if is_cut:
+        line, column = text.count("\n") + 1, len(text) - text.rfind("\n") - 1
+        return f"the end of the file is missing: it ends at line {line}, column {column}"
+    messages = (message for start, message in _JSON_ERRORS if error.msg.startswith(start))
+    message = next(messages, "is not JSON")
+    return f"line {error.lineno}, column {error.colno}: {message}"
 
 
 def _parse_integer(digits: str) -> int:

@@ -213,7 +213,7 @@ class ResultFile(ResultPart):
         content = b""
         try:
             content = read_file(path)
-            text = content.decode("utf-8")
+            text = content.decode("utf-8-sig")  # editors on Windows write a byte-order mark
             document = parse_json(text)
             if _SURROGATE_ESCAPE.search(text) and document != _escape_surrogates(document):
                 raise ValueError("a string contains an incomplete character")
