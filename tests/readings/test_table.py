@@ -297,6 +297,30 @@ def test_sheet_may_have_rows_before_header(tmp_path):
     assert [reading.value for reading in read(tmp_path, text).readings] == [1.0, 0.0]
 
 
+@pytest.mark.parametrize(
+    ("key", "expected"),
+    [
+        ('about = "nort"', 'readings.about: unknown direction "nort"; did you mean "north"?'),
+        ('u_attitude = "-2 arcsec"', "readings.u_attitude: a standard uncertainty cannot be neg"),
+        ('u = "-2 uA"', "readings.u: a standard uncertainty cannot be negative"),
+        ('u_rate = "-2 rad/s"', "readings.u_rate: a standard uncertainty cannot be negative"),
+    ],
+)
+def test_invalid_value_of_section_is_reported_once(tmp_path, key, expected):
+    (problem,) = read_problems(tmp_path, "angle,mA\n0,1.25\n90,0\n", f"{SIMPLE}\n{key}")
+    assert problem.startswith(expected)
+
+
+def test_same_mistake_in_many_rows_is_reported_once(tmp_path):
+    table = "angle,mA\nfirst,1.25\nsecond,0\nthird,0\n30,x\nfourth,1\n"
+    first, other = read_problems(tmp_path, table)
+    assert first.startswith('readings."r.csv line 2".attitude: is not an attitude; write')
+    assert first.endswith(' (the same in 4 rows, up to "r.csv line 6")')
+    assert other.startswith('readings."r.csv line 5".')
+    # In a few rows, each is named.
+    assert len(read_problems(tmp_path, table.replace("third", "60"))) == 4
+
+
 SLIPS = {
     "decimal commas that show": (
         "angle;mA\n0,5;1,25\n30,5;1,0\n60,5;0,5\n",

@@ -18,6 +18,7 @@ from counterspin.errors import (
     CounterspinError,
     Problem,
     describe_read_error,
+    error_code,
     read_error_code,
 )
 from counterspin.frozen import frozen
@@ -57,6 +58,10 @@ _HEADER: Final = re.compile(
 _STRING_OR_COMMENT: Final = re.compile(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'|#.*""")
 #: Key path at the start of a message; last part of a key path.
 _MESSAGE_KEY: Final = re.compile(rf"({_KEY_PART}(?:\.{_KEY_PART}|\[\d+\])*): ")
+#: File and row of a table of readings at the start of a message.
+_TABLE_ROW: Final = re.compile(r'readings\.("[^"]*")')
+#: Largest number of rows whose identical problems are stated for each row.
+_MAX_LISTED_ROWS: Final = 3
 _LAST_KEY_PART: Final = re.compile(r"(?:\.[\w-]+|\[\d+\])$")
 
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
@@ -179,12 +184,34 @@ def _detect_kind(document: Mapping[str, Any]) -> DocumentKind | None:
 
 
 def campaign_error(file: Path, problems: Sequence[str]) -> CampaignError:
-    """Return the error with the problems of a file, in the order of its lines."""
+    """Return the error with the problems of a file, in the order of its lines.
+
+    A problem of many rows of a table is stated once, with the number of these rows.
+    """
+    problems = _merge_rows(problems)
     lines = message_lines(problems, file)
     pairs = sorted(
         zip(problems, lines, strict=True), key=lambda pair: (pair[1] is None, pair[1] or 0)
     )
     return CampaignError(str(file), [problem for problem, _ in pairs], [line for _, line in pairs])
+
+
+def _merge_rows(problems: Sequence[str]) -> list[str]:
+    """Return the problems; merge those of more than a few rows that differ only in the row."""
+    rows_by_problem: dict[str, list[str]] = {}
+    for problem in problems:
+        if (row := _TABLE_ROW.match(problem)) is not None:
+            rows_by_problem.setdefault(problem[row.end() :], []).append(row[1])
+    merged_problems = []
+    for problem in problems:
+        row = _TABLE_ROW.match(problem)
+        rows = [] if row is None else rows_by_problem[problem[row.end() :]]
+        if row is None or len(rows) <= _MAX_LISTED_ROWS:
+            merged_problems.append(problem)
+        elif row[1] == rows[0]:
+            note = f"(the same in {len(rows)} rows, up to {rows[-1]})"
+            merged_problems.append(Problem(f"{problem} {note}", error_code(problem)))
+    return merged_problems
 
 
 def _explain_syntax_error(message: str) -> tuple[str, str]:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Final
 from counterspin.campaign.columns import Sense
 from counterspin.campaign.documents import KeyPath, list_of, table_of, to_toml_value
 from counterspin.campaign.field_types import parse_exact
-from counterspin.campaign.quantity import HeadTurn, Quantity
+from counterspin.campaign.quantity import HeadTurn, Quantity, read_direction
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
 from counterspin.campaign.validation import Problems, suggest_name
-from counterspin.errors import InputError, RecordError, error_code
+from counterspin.errors import InputError, OutOfRangeError, RecordError, error_code
 from counterspin.frozen import frozen
 from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.readings.cells import (
@@ -371,17 +371,15 @@ class ReadingsTable:
     def _check_quantities(self) -> None:
         """Report invalid quantities and units of the section."""
         settings, problems = self.settings, self.problems
-        if settings.u_attitude is not None:
-            problems.collect(("readings", "u_attitude"), parse_exact, settings.u_attitude, "rad")
+        problems.collect(("readings", "about"), read_direction, settings.about)
         problems.collect(("readings", "attitude_unit"), unit_factor, settings.attitude_unit, "rad")
-        if settings.u is not None:
-            for output in self.accelerometers.values():
-                unit = output.unit if output else "g"
-                problems.collect(("readings", "u"), parse_exact, settings.u, unit)
         if "rate" in settings.columns:
             problems.collect(("readings", "rate_unit"), self._parse_rate, 1.0, settings.sense)
-        if settings.u_rate is not None:
-            problems.collect(("readings", "u_rate"), parse_exact, settings.u_rate, "rad/s")
+        units = [("u_attitude", "rad"), ("u_rate", "rad/s")]
+        units += [("u", output.unit if output else "g") for output in self.accelerometers.values()]
+        for key, unit in units:
+            if (text := getattr(settings, key)) is not None:
+                problems.collect(("readings", key), _check_uncertainty, text, unit)
 
     def check_units(self, units: Mapping[str, str]) -> None:
         """Report columns whose unit in the units row differs from the description."""
@@ -556,6 +554,11 @@ class ReadingsTable:
             message = 'has a decimal comma; write decimal = "," in [readings]'
             self.problems.add(path, f"{value!r} {message}", "missing-key")
         return has_comma
+
+
+def _check_uncertainty(text: str, unit: str) -> None:
+    if parse_exact(text, unit) < 0.0:
+        raise OutOfRangeError("a standard uncertainty cannot be negative")
 
 
 def _mounting_columns(mounting: MountingSettings) -> dict[str, str]:
