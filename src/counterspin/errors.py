@@ -122,6 +122,8 @@ class CounterspinError(Exception):
         super().__init__(*args)
         if code is not None:
             self.code = code
+        if code == UsageError.code:
+            self.exit_status = UsageError.exit_status
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return class, message and attributes, to pickle the error for another process."""

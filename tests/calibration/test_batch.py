@@ -79,6 +79,33 @@ def test_command_prints_summary_and_exits_with_1_on_failure(folders, tmp_path, c
     assert main(["calibrate", str(folders[0]), str(folders[2])]) == 0
 
 
+def test_errors_of_campaigns_name_their_folder_once(folders, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(folders[0], "lost")
+    for record in Path("lost").glob("*.csv"):
+        record.unlink()
+    shutil.copytree(folders[0], "slips")
+    text = Path("slips/campaign.toml").read_text(encoding="utf-8")
+    wrong_text = text.replace("[site]", "[site]\nheight = 1\ndepth = 1")
+    Path("slips/campaign.toml").write_text(wrong_text, encoding="utf-8")
+    assert main(["calibrate", "nope", "lost", "slips"]) == 1
+    output = capsys.readouterr().out
+    lines = output.splitlines()
+    assert "\\n" not in output
+    assert lines[0].startswith("nope: file not found; ")
+    assert output.count("nope") == 1
+    assert output.count(".csv: file not found") == len(list(folders[0].glob("*.csv")))
+    assert sum(line.startswith("slips/campaign.toml: 2 mistakes") for line in lines) == 1
+    assert sum("site.height: unknown key" in line for line in lines) == 1
+
+
+def test_workers_of_single_campaign_are_checked(folders, capsys):
+    assert main(["calibrate", str(folders[0]), "--workers", "0"]) == 2
+    assert capsys.readouterr().err == "counterspin: --workers must be at least 1\n"
+    assert main(["calibrate", str(folders[0]), "--workers", "100000"]) == 0
+    assert capsys.readouterr().err.startswith("counterspin: --workers and --cluster have no effect")
+
+
 def test_run_is_excluded_from_all_campaigns(folders, tmp_path, capsys):
     text = (folders[0] / "campaign.toml").read_text(encoding="utf-8")
     run = re.search(r'\[\[runs\]\]\nname = "(.+)"', text)[1]

@@ -101,12 +101,14 @@ def test_rejects_nul_in_arguments(run_command, command):
 def test_rejects_invalid_numbers(run_command, tmp_path):
     write_description(tmp_path, SMALL)
     assert run_command("study", ".", "--seed", "-1") == (
-        1,
+        2,
         "counterspin: --seed must not be negative\n",
     )
     status, complaint = run_command("study", ".", "--trials", "1" + "0" * 30)
-    assert status == 1
+    assert status == 2
     assert "--trials must be at least 2 and at most" in complaint
+    for option in ("--trials=0", "--workers=0"):
+        assert run_command("study", ".", option)[0] == 2
 
 
 def test_damaged_result_is_rejected(run_command, tmp_path):

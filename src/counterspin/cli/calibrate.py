@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
 from counterspin.cli.common import NO_RESULT_FILE, OnOff, SaveOptions, command, option_group
-from counterspin.errors import CounterspinError, UsageError
+from counterspin.errors import CounterspinError, CounterspinWarning, UsageError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
@@ -95,6 +96,16 @@ class BatchWorkers:
 
     workers: int = 1
     cluster: str | None = None
+
+    def check_unused(self) -> None:
+        """Check the options of a single campaign, and warn that they have no effect."""
+        if (self.workers, self.cluster) == (1, None):
+            return
+        from counterspin.workers import Workers
+
+        Workers(self.workers, self.cluster)
+        text = "`workers` and `cluster` have no effect, because there is only a single campaign"
+        warnings.warn(CounterspinWarning(text, code="too-many-workers"), stacklevel=3)
 
 
 @option_group
@@ -196,6 +207,7 @@ def calibrate(
             worker_options,
         )
         return
+    worker_options.check_unused()
     save_options.check_writable(_result_file_type)
     with show_progress() as advance:
         result = run_calibration(

@@ -426,7 +426,11 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
         for row in _batch_rows(folder, outcome)
     )
     blocks: list[Block] = [Table(_BATCH_COLUMNS, rows)] if rows else []
-    blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
+    blocks += [
+        Paragraph(line, "warning")
+        for folder, error in batch.failed.items()
+        for line in _error_lines(folder, error)
+    ]
     blocks += [
         Paragraph(f"{folder}: the records contradict the result. Do not use it.", "warning")
         for folder in batch.contradicted
@@ -440,6 +444,12 @@ def batch_blocks(batch: BatchResult) -> list[Block]:
     noun = "campaign" if n_calibrated == 1 else "campaigns"
     blocks.append(Paragraph(f"{n_calibrated} {noun} calibrated, {n_failed} failed.", "quiet"))
     return blocks
+
+
+def _error_lines(folder: str, error: str) -> list[str]:
+    """Return the lines of the error of a campaign, which begin with its folder."""
+    begins_with_folder = error.startswith(tuple(folder + end for end in (":", "/", "\\")))
+    return (error if begins_with_folder else f"{folder}: {error}").split("\n")
 
 
 def _batch_rows(folder: str, result: Result) -> Iterator[tuple[str, ...]]:
