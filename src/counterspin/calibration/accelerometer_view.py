@@ -53,7 +53,7 @@ class FittedGroup(Protocol):
 
     @property
     def motion(self) -> str:
-        """Kind of test, as in `Observation`."""
+        """Test type, as in `Observation`."""
 
     @property
     def label(self) -> str:

@@ -188,7 +188,7 @@ def method_name(result: Result) -> str:
 
 
 def test_lines(result: Result) -> list[str]:
-    """Return a sentence for each type of test of the item."""
+    """Return a sentence for each test type of the item."""
     if group_readings(result) or unknown_poses(result):
         return list(describe_tests(result))
     return [

@@ -37,12 +37,12 @@ def init(
     directory
         Folder for campaign.toml. counterspin creates the folder if it does not exist.
     test
-        Kind of test: records of a double turntable, readings of a multi-position tumble, readings
+        Test type: records of a double turntable, readings of a multi-position tumble, readings
         on the arm of a centrifuge, or a record of a three-axis sensor in many poses. Default:
-        double-turntable; with --from, the detected kind.
+        double-turntable; with --from, the detected test type.
     from_
         Data files, one for each run, or a table of readings from a tumble or an arm. counterspin
-        prints their contents and prompts for the kind of test and the missing information.
+        prints their contents and prompts for the test type and the missing information.
     yes
         Do not prompt. Stop with an error if any information is missing.
     answer
@@ -142,7 +142,7 @@ def _add_option(questions: Mapping[str, FileQuestion], problem: str) -> str:
 
 
 def _choose_test(contents: Sequence[FileContents], *, is_interactive: bool) -> Test:
-    """Return the type of test: chosen by the user, or else detected."""
+    """Return the test type: chosen by the user, or else detected."""
     from counterspin.ingest.overview import explain_unknown_test, guess_test, make_test_question
 
     detected_test = guess_test(contents)

@@ -40,7 +40,7 @@ const NO_COLUMN = "none";
 const MAX_CHECKS = 4;
 
 /**
- * The answers to these questions; answers for other types of test are kept.
+ * The answers to these questions; answers for other test types are kept.
  * @param {Question[]} questions
  * @param {Record<string, string>} answers by the keys of questions
  */
@@ -67,8 +67,8 @@ export async function checkUntilSettled(check, answeredKeys) {
 export class Confirmation {
   /**
    * @param {HTMLElement} container
-   * @param {import("./unfinished.js").Unfinished} status files and folder; answers, also to another kind of test
-   * @param {string[]|null} tests kinds of test that are possible, the first one by default; null: any
+   * @param {import("./unfinished.js").Unfinished} status files and folder; answers, also to another test type
+   * @param {string[]|null} tests test types that are possible, the first one by default; null: any
    */
   constructor(container, status, tests) {
     this.container = container;
@@ -80,9 +80,9 @@ export class Confirmation {
     this.test = status.test;
     /** @type {Record<string, string>} a person's answers, by the keys of questions */
     this.answers = status.answers;
-    /** @type {Record<string, string>} those of them that this kind of test asks for */
+    /** @type {Record<string, string>} those of them that this test type asks for */
     this.sentAnswers = {};
-    /** @type {Question[]} of this kind of test, as far as they are known */
+    /** @type {Question[]} of this test type, as far as they are known */
     this.questions = [];
     /** @type {Map<string, Field>} kept, so that nothing typed is lost */
     this.fields = new Map();
@@ -148,7 +148,7 @@ export class Confirmation {
     return ROLES[/** @type {keyof typeof ROLES} */ (this.test)] ?? { parts: [], others: [], blank: "choose" };
   }
 
-  /** Check the files again for another type of test. */
+  /** Check the files again for another test type. */
   chooseTest() {
     this.test = this.testSelect.value;
     this.pending = this.recheck();

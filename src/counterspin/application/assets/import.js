@@ -12,7 +12,7 @@ import { discardImport, keepImport, unfinishedImport } from "./unfinished.js";
 
 /** @typedef {import("./unfinished.js").Unfinished} Unfinished */
 
-/** Types of test of a pasted table. */
+/** Test types of a pasted table. */
 const TABLE_TESTS = ["tumble", "arm"];
 /** Number of folder names tried if files with the same name and other content exist. */
 const MAX_FOLDERS = 9;
@@ -159,7 +159,7 @@ export async function importView() {
   /**
    * Show the Confirm step.
    * @param {Unfinished} state
-   * @param {string[]|null} tests kinds of test that are possible; null: any
+   * @param {string[]|null} tests test types that are possible; null: any
    */
   const open = async (state, tests) => {
     show("Reading the files");

@@ -6,7 +6,7 @@ import { say } from "./dom.js";
 
 /**
  * An import before its campaign is written: the folder, the files to confirm, all uploaded files,
- * the type of test (empty: to be detected) and the answers so far.
+ * the test type (empty: to be detected) and the answers so far.
  * @typedef {{folder: string, names: string[], uploaded: string[], test: string, answers: Record<string, string>}} Unfinished
  */
 

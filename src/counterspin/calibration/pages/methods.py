@@ -258,7 +258,7 @@ def describe_tests(result: Result) -> Iterator[str]:
 
 
 def tabulate_tests(readings: Sequence[ReadingResult]) -> Table:
-    """Return a table of positions, rates and readings by type of test and mounting."""
+    """Return a table of positions, rates and readings by test type and mounting."""
     groups: dict[tuple[str, str], list[ReadingResult]] = {}
     for reading in readings:
         groups.setdefault((reading.motion, reading.mounting), []).append(reading)

@@ -56,7 +56,7 @@ class DesignBlock(Observation):
 
     @property
     def motion(self) -> str:
-        """Kind of test: records are made on a double turntable."""
+        """Test type: records are made on a double turntable."""
         return "counter-rotating"
 
     def block(self, noises: Mapping[str, Noise]) -> Block:

@@ -186,7 +186,7 @@ class Observation(ABC):
     @property
     @abstractmethod
     def motion(self) -> str:
-        """Kind of test: counter-rotating for records."""
+        """Test type: counter-rotating for records."""
 
     @abstractmethod
     def block(self, noise: Mapping[str, Noise]) -> Block:
