@@ -145,7 +145,7 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def _describe_json_error(error: json.JSONDecodeError) -> str:
-    """Return what is wrong with a JSON text, with line and column."""
+    """Return the message of a syntax error, with line and column."""
     text, rest = error.doc.rstrip(), error.doc[error.pos :].strip()
     is_cut = (
         not rest

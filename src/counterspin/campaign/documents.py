@@ -197,7 +197,7 @@ def campaign_error(file: Path, problems: Sequence[str]) -> CampaignError:
 
 
 def _merge_rows(problems: Sequence[str]) -> list[str]:
-    """Return the problems; merge those of more than a few rows that differ only in the row."""
+    """Return the problems, with the identical problems of many rows merged."""
     rows_by_problem: dict[str, list[str]] = {}
     for problem in problems:
         if (row := _TABLE_ROW.match(problem)) is not None:
