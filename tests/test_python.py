@@ -84,6 +84,42 @@ def test_public_objects_have_docstrings(name):
     assert inspect.getdoc(getattr(cs, name))
 
 
+def names_in_section(docstring, title):
+    """Return the names in a section of a docstring in NumPy form; None without the section."""
+    section = re.search(rf"(?ms)^{title}\n-+\n(.*?)(?=^\w[^\n]*\n-+$|\Z)", docstring)
+    lines = section[1].splitlines() if section else []
+    names = [name for line in lines if line[:1].strip() for name in line.split(",")]
+    return {name.strip().lstrip("*") for name in names} if section else None
+
+
+def functions():
+    """Return the public functions, and the public methods of public classes, by name."""
+    named = {name: getattr(cs, name) for name in cs.__all__}
+    return {name: value for name, value in named.items() if inspect.isroutine(value)}, {
+        f"{name}.{key}": getattr(value, "__func__", value)
+        for name, owner in named.items()
+        if inspect.isclass(owner)
+        for key, value in vars(owner).items()
+        if key[0] != "_" and inspect.isfunction(getattr(value, "__func__", value))
+    }
+
+
+def test_public_functions_document_parameters_and_result():
+    functions_by_name, methods_by_name = functions()
+    assert len(functions_by_name) > 35 < len(methods_by_name)
+    wrong, unknown, resultless = {}, {}, []
+    for name, function in (functions_by_name | methods_by_name).items():
+        signature, docstring = inspect.signature(function), inspect.getdoc(function)
+        parameters = set(signature.parameters) - {"self", "cls"}
+        listed = names_in_section(docstring, "Parameters")
+        if name in functions_by_name:
+            wrong |= {name: listed} if (listed or set()) != parameters else {}
+            has_result = re.search(r"(?m)^(Returns|Yields)\n-", docstring)
+            resultless += [] if has_result or signature.return_annotation == "None" else [name]
+        unknown |= {name: listed - parameters} if listed and listed - parameters else {}
+    assert (wrong, unknown, resultless) == ({}, {}, [])
+
+
 def examples():
     """Return the examples of each docstring as a doctest."""
     examples_by_page = {}

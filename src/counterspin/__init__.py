@@ -20,9 +20,10 @@ Commands as functions:
   folder; `Workers`: parallel processes
 - `demo`: simulate and calibrate the paper's plan (`Demonstration`)
 - `history`: track a coefficient of each instrument over time (`History`)
-- `applied`: uncertainty budget of the acceleration that a centrifuge applies, by level
+- `applied`: compute the uncertainty budget of the acceleration that a centrifuge applies, by level
   (`AppliedAcceleration`)
-- `operating`: linearity, hysteresis, threshold, resolution, dead band, warm-up (`OperatingTests`)
+- `operating`: evaluate linearity, hysteresis, threshold, resolution, dead band or warm-up
+  (`OperatingTests`)
 - `compare`: compare results of different models, methods or campaigns (`ResultComparison`)
 - `intercompare`: compare laboratories that calibrated the same instrument (`Intercomparison`)
 - `rerun`: repeat the calibration of a result (`RepeatedCalibration`)
@@ -31,9 +32,9 @@ Commands as functions:
 - `noise`: analyse the noise of a static record (`NoiseResult`)
 - `reproduce`: compare the paper's numbers with recomputed numbers (`Reproduction`)
 - `validate`: run the reference cases on this installation (`Dossier`); `write_dossier`: write files
-- `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
-- `report`, `write_report`: the report of any of these results as HTML, PDF or Markdown
-- `certificate`: the Digital Calibration Certificate (`Certificate`) of a result
+- `print_result`: print a `Result`; `write_result`, `read_result`: write and read its JSON file
+- `report`, `write_report`: make the report of any of these results as HTML, PDF or Markdown
+- `certificate`: make the Digital Calibration Certificate (`Certificate`) of a result
 - `read_campaign`: read and check a description (`Campaign`); `make_campaign`: make a campaign from
   a mapping and data frames; `Quantity`: value, standard uncertainty and unit
 

@@ -262,7 +262,12 @@ class ConvergenceError(CounterspinError):
 class CounterspinWarning(UserWarning):
     """A warning for the user; the work continues.
 
-    code: The kind of warning, a key of `error_codes.CODES`.
+    Parameters
+    ----------
+    message
+        The message.
+    code
+        The kind of warning, a key of `error_codes.CODES`.
     """
 
     def __init__(self, message: str, *, code: str) -> None:

@@ -181,8 +181,17 @@ class ResultFile(ResultPart):
     def write(self, path: Path | str, *, overwrite: bool = False) -> None:
         """Write the JSON file atomically.
 
-        overwrite: Whether an existing result of the same type may be replaced; other files never
-            are.
+        Parameters
+        ----------
+        path
+            Output file.
+        overwrite
+            Whether an existing result of the same type may be replaced; other files never are.
+
+        Raises
+        ------
+        CounterspinError
+            If the file exists and may not be replaced, or cannot be written.
         """
         write = load_name(f"{_OUTPUT_MODULE}:write_text")
         write(Path(path), self.to_json(), self.file_kind, overwrite=overwrite)
@@ -207,7 +216,23 @@ class ResultFile(ResultPart):
 
     @classmethod
     def read(cls, path: Path | str) -> Self:
-        """Read a file that this or an earlier version of counterspin wrote."""
+        """Read a file that this or an earlier version of counterspin wrote.
+
+        Parameters
+        ----------
+        path
+            JSON file.
+
+        Returns
+        -------
+        Self
+            The result in the file.
+
+        Raises
+        ------
+        RecordError
+            If the file cannot be read, is not such a file, or was edited or damaged.
+        """
         path = to_path(path, f"the file of a {cls.KIND}")
         advice = f"give the JSON file of a {cls.KIND}"
         content = b""

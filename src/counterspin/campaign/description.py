@@ -90,6 +90,10 @@ class Campaign:
         Other keys of [campaign] that are stated, such as `serial_number` and `date`.
     specifications
         Tolerance limits of the coefficients; None if the file states none.
+    readings
+        Readings with a stated attitude, in the order of the file.
+    reference_temperature
+        Stated reference of the temperature slopes, degC; None: the mean of all temperatures.
     tables, table_checksums
         Files of readings, and SHA-256 of those that were read with the description.
     frames
@@ -164,7 +168,7 @@ class Campaign:
             Folder of the files that the document names.
         frames
             Records in memory, by the file that each replaces.
-        noted
+        known_problems
             Mistakes in the document that have already been found.
 
         Raises
@@ -314,6 +318,10 @@ def read_campaign(path: Path | str) -> Campaign:
     ----------
     path
         The campaign's folder, or its description file.
+
+    Returns
+    -------
+    Campaign
 
     Raises
     ------

@@ -85,6 +85,8 @@ class Certificate:
         Responsible person, and reason of issue.
     result
         Path of the result file; None for a result in memory.
+    draft
+        Whether the certificate is a draft: template values, or missing required data.
     """
 
     identifier: str
@@ -267,6 +269,10 @@ def certificate(
     amends
         Issued certificate that this certificate replaces, and the reason. The certificate states
         both and the changes.
+
+    Returns
+    -------
+    Certificate
 
     Raises
     ------

@@ -305,7 +305,7 @@ def periodogram_peak(power: Array, n: int) -> tuple[float, float, float]:
 
 
 def fisher_g_p(share: float, n_lines: int) -> float:
-    """Probability that the largest of `n_lines` exponential shares exceeds `share`.
+    """Return the probability that the largest of `n_lines` exponential shares exceeds `share`.
 
     sum_j (-1)^(j-1) C(m, j) (1 - j g)^(m-1) over j g < 1 (Fisher 1929).
     """

@@ -102,9 +102,11 @@ def guard_band_for_risk(
     tolerance_limits: tuple[float | None, float | None],
     max_consumer_risk: float,
 ) -> float:
-    """Return the smallest guard band with at most a consumer's risk; 0 if none is needed.
+    """Return the smallest guard band for a permitted consumer's risk; 0 if none is needed.
 
-    Parameters as in `global_risk`; consumer: The largest permitted risk, positive.
+    The first four parameters are those of `global_risk`.
+
+    max_consumer_risk: Largest permitted consumer's risk, above 0 and below 1.
     """
     if not 0.0 < max_consumer_risk < 1.0:
         raise ValueError(f"a risk must be between 0 and 1; got {max_consumer_risk}")

@@ -35,8 +35,8 @@ def init(folder: Path | str, test: Test = "double-turntable") -> Path:
     folder
         Target folder; created if it does not exist.
     test
-        Test type: records of a double turntable, readings of a multi-position tumble, or readings
-        on the arm of a centrifuge.
+        Test type: ``double-turntable`` (records), ``tumble`` (readings of a multi-position tumble)
+        or ``arm`` (readings on the arm of a centrifuge).
 
     Returns
     -------

@@ -63,7 +63,14 @@ class Mounting:
         pendulous_axis: str | Sequence[float],
         output_axis: str | Sequence[float] | None = None,
     ) -> Mounting:
-        """Make a mounting from directions; the output axis follows as I x P unless given.
+        """Make a mounting from directions.
+
+        Parameters
+        ----------
+        input_axis, pendulous_axis
+            Names of directions, such as ``"east"``, or vectors in east-north-up, shape (3,).
+        output_axis
+            Output axis in the same form; None: I x P.
 
         Raises
         ------

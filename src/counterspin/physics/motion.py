@@ -84,7 +84,7 @@ class Trajectory:
     radius
         Distance of the platform from the spindle axis, m.
     site
-        Where the centrifuge stands.
+        Site of the centrifuge.
     stretch
         Relative growth of the radius per centripetal acceleration, s^2/m.
     imbalance

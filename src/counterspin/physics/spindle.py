@@ -299,8 +299,8 @@ def fit_spindle(
     Raises
     ------
     NotIdentifiableError
-        If there are too few samples for the unknowns, or none where they would tell the
-        harmonics apart.
+        If there are too few samples for the unknowns, or none at angles that separate the
+        harmonics.
     ConvergenceError
         If w0 does not settle.
     """

@@ -107,6 +107,10 @@ def forecast(
         Values of the model's unknowns minus nominal, for the effect of uncertain inputs; None:
         those of `expected_values`.
 
+    Returns
+    -------
+    Forecast
+
     Raises
     ------
     CampaignError

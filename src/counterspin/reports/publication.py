@@ -236,6 +236,11 @@ def report(
     identifier, issued
         As in `write_report`.
 
+    Returns
+    -------
+    str or bytes
+        The report; bytes for ``pdf``.
+
     Raises
     ------
     CampaignError

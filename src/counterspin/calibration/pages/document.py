@@ -403,7 +403,19 @@ def _existing_pictures(*pictures: Picture | None) -> Iterator[Picture]:
 def print_result(
     result: Result, console: Console | None = None, *, budget: bool = False, details: bool = False
 ) -> None:
-    """Print a result to a console, by default to standard output; options as for `render`."""
+    """Print a result.
+
+    Parameters
+    ----------
+    result
+        Result of a calibration.
+    console
+        Console of the package rich; None: standard output.
+    budget
+        Whether to print the uncertainty budgets.
+    details
+        Whether to print correlations, counts, input files and their checksums.
+    """
     console = console or make_console()
     console.print(render(result, show_budget=budget, show_details=details))
 

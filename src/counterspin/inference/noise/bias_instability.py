@@ -56,7 +56,7 @@ def basis_size(variances: Variances, spacing: float, length: float, order: int) 
     """Return the number of cosines up to the frequency at which white noise covers the bias.
 
     spacing: Time between samples, s.
-    length: Of the record, s.
+    length: Length of the record, s.
     """
     min_size, max_size = _BASIS_SIZE_RANGE
     white, white_force, *bias_variances = variances
@@ -83,8 +83,8 @@ def integrated_cosines(
 ) -> Array:
     """Return the effect of each cosine of the bias on a record, shape (n, count).
 
-    times, samples, spacing: Mean time of each row (s), how many samples it is the mean of, and the
-        time between these (s), shape (n,).
+    times, samples, spacing: Mean time of each row (s), number of samples in the mean, and time
+        between the samples (s), shape (n,).
     """
     w = math.pi * np.arange(1, count) / length
     phase = times[:, None] * w
@@ -122,7 +122,7 @@ def coefficient_covariance(
 ) -> Array:
     """Return the cosines' covariance, shape (count, count).
 
-    walk_duration: For how long the bias had walked when the record began, s.
+    walk_duration: Duration of the walk of the bias before the record, s.
     """
     total, covariances = np.zeros((count, count)), _coefficient_covariances(count, length)
     components = BIAS_COMPONENTS.values()

@@ -222,7 +222,7 @@ class Differences:
 
         The first array is for all components together, the others for each unit component.
 
-        walk_duration: Duration of the bias walk before the record, s.
+        walk_duration: Duration of the walk of the bias before the record, s.
         """
         length = basis_length(float(self.blocks.time[-1]))
         n_cosines = basis_size(variances, median(self.spacing), length, order)
@@ -363,7 +363,7 @@ def build_whitener(
 ) -> Whitener:
     """Return the whitener of a record.
 
-    walk_duration: For how long the bias had walked when the record began, s.
+    walk_duration: Duration of the walk of the bias before the record, s.
     added_variance: White variance of the samples in addition to the noise, of all or each row,
         (n,).
     """

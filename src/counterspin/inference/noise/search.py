@@ -162,7 +162,7 @@ def _select_components(
 ) -> tuple[Maximum, dict[tuple[str, ...], float]]:
     """Return the best set of components, and the likelihoods of all sets.
 
-    white_maximum: The best without a wander; None where nothing wanders.
+    white_maximum: Maximum without bias noise; None if the noise contains no bias noise.
     """
     requested = noise.to_estimate
     required = [name for name in requested if white_maximum is not None and name == "white"]

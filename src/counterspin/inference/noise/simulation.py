@@ -21,7 +21,7 @@ def add_noise(
 
     times, signal: Regular times, s, and signal, SI, shape (n,).
     order: 2 for displacement, 1 for velocity, 0 for specific force.
-    walk_duration: Time from the start of the bias's random walk to the first sample, s.
+    walk_duration: Duration of the walk of the bias before the first time, s.
     """
     if noise.has_bias_instability and times.size > 1:
         signal = signal + draw_bias_noise(generator, times, noise, order, walk_duration)

@@ -350,7 +350,7 @@ class StaticNoise:
 def estimate_static_noise(records: Sequence[EvenlySampledData]) -> StaticNoise:
     """Estimate the common noise of records at rest.
 
-    records: Their first unknown is the drift, with a column of time in s.
+    records: Records whose first unknown is the drift, with a column of time in s.
     """
     if sum(record.observations.size for record in records) < 4 * (2 + len(COMPONENTS)):
         raise NotIdentifiableError("the record is too short to estimate the noise")

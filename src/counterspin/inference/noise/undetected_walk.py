@@ -95,9 +95,9 @@ def marginal_walk(
     95 % interval.
 
     variances: u^2 of each coefficient without the walk, shape (p,).
-    sensitivities: What N^2 adds to it, per unit, shape (p,).
-    inverse_dof: Of the degrees of freedom without the walk.
-    Returns: N^2; inverse degrees of freedom of u^2 with it (Welch and Satterthwaite), shape (p,).
+    sensitivities: Increase of u^2 per unit of N^2, shape (p,).
+    inverse_dof: Inverse degrees of freedom without the walk.
+    Returns: N^2; inverse degrees of freedom of u^2 with the walk (Welch-Satterthwaite), shape (p,).
     """
     mixture_sds = np.sqrt(variances[:, None] + sensitivities[:, None] * walk.levels)
     most_affected = int(np.argmax(sensitivities / variances))

@@ -48,6 +48,11 @@ def strobe_angle(input_axis: Array) -> float:
     input_axis
         Unit vector in east-north-up, shape (3,).
 
+    Returns
+    -------
+    float
+        Strobe angle, rad.
+
     Raises
     ------
     NotIdentifiableError
@@ -57,7 +62,7 @@ def strobe_angle(input_axis: Array) -> float:
     --------
     >>> import math
     >>> import counterspin as cs
-    >>> [math.degrees(cs.strobe_angle(one.input_axis)) for one in (cs.QX, cs.QY)]
+    >>> [math.degrees(cs.strobe_angle(mounting.input_axis)) for mounting in (cs.QX, cs.QY)]
     [90.0, 180.0]
     """
     if abs(float(input_axis[2])) > 1e-3:
@@ -238,7 +243,7 @@ def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float
     Parameters
     ----------
     strobes
-        At least four; each is weighted by its own noise factor.
+        At least four strobes; the weight of each is ``noise_factor**-2``.
     sigma
         Standard deviation of one sample's displacement, m. None: from the residuals.
     random_walk
