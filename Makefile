@@ -52,7 +52,7 @@ CHECKS := check-style $(PLATFORMS:%=types-%) types-benchmarks check-imports chec
 help: ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-17s %s\n", $$1, $$2 }'
 
-setup: $(READY) ## Make .venv with the pinned requirements and the package
+setup: $(READY) ## Create .venv with the pinned requirements and the package
 
 demo: $(READY) ## Simulate and calibrate the paper's plan: a table and a figure
 	$(BIN)/counterspin demo
@@ -61,22 +61,22 @@ test: PREPARED = $(COMPILED)
 test: lint ## Lint, types, import rules and all tests except slow ones and those of docs-tests
 	$(BIN)/python -m pytest $(PARALLEL) -m "not slow" $(PAGE_TESTS:%=--ignore=%)
 
-quick: $(READY) ## The short tests, for working: a minute at most
+quick: $(READY) ## Run the fast tests (one minute)
 	$(BIN)/python -m pytest $(PARALLEL) --quick 55
 
-slow: $(READY) ## Time all tests, one by one, and list in tests/slow.txt what quick leaves out
+slow: $(READY) ## Time each test; list the slow ones, which quick skips, in tests/slow.txt
 	$(BIN)/python -m pytest --write-slow
 
 # All tests are collected once, after the site is built. The checks of types run beside them, because
 # tests wait a tenth of their time.
-ci: $(READY) $(TYPESCRIPT) $(DOCS) ## All of test and docs-tests, and the slow tests
+ci: $(READY) $(TYPESCRIPT) $(DOCS) ## Run test, docs-tests and the slow tests
 	$(MAKE) --no-print-directory -j 2 docs $(COMPILED) $(filter-out types-%,$(CHECKS))
 	$(MAKE) --no-print-directory -j 2 tests-with-site $(filter types-%,$(CHECKS))
 
 tests-with-site:
 	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest $(PARALLEL)
 
-lint: $(READY) $(TYPESCRIPT) ## Lint, format, types and import rules only
+lint: $(READY) $(TYPESCRIPT) ## Check lint, format, types and import rules only
 	$(MAKE) --no-print-directory -j 2 $(PREPARED) $(CHECKS)
 
 check-style: $(READY)
@@ -99,14 +99,14 @@ types-linux: $(READY)
 types-%: $(READY)
 	$(call mypy,$*) --follow-imports silent $$($(BIN)/python requirements/platform_modules.py)
 
-format: $(READY) ## Format the code and mend what the linter can
+format: $(READY) ## Format the code and apply the linter's fixes
 	$(BIN)/python -m ruff check --fix .
 	$(BIN)/python -m ruff format .
 
 bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the sizes of the targets
 	$(BIN)/python benchmarks $(FULL) $(if $(KEEP),--keep)
 
-docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
+docs: $(READY) $(DOCS) ## Build the documentation in build/site
 	@echo "Building the site, which takes a minute."
 	@$(BIN)/sphinx-build $(SPHINX) -q -b html -j 8 docs build/site
 	@echo "Open build/site/index.html."
@@ -114,39 +114,39 @@ docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
 docs-tests: docs ## Build the site; test the documentation, and all pages in a browser
 	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest $(PARALLEL) $(PAGE_TESTS)
 
-violations: $(READY) ## Make the tables of what violations of the model do again
+violations: $(READY) ## Recompute the tables of model violations
 	$(BIN)/python docs/violations.py
 	$(BIN)/python docs/tumbled.py
 	$(BIN)/python docs/incredible.py
 
-fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs/harmful-files.md
+fuzz: $(READY) ## Read mutated files of every format, and kill commands that write; docs/harmful-files.md
 	$(BIN)/python -m fuzz --documents $(DOCUMENTS) --records $(RECORDS) --kills $(KILLS) \
 	  --seed $(SEED) --only "$(ONLY)"
 
-mutants: $(READY) ## Plant single errors into a copy, and count those that validate names
+mutants: $(READY) ## Introduce single errors into a copy, and count those that validate detects
 	$(BIN)/python -m mutants --tests
 
-alarms: $(READY) ## Make the table of how often good campaigns are blamed again (ten minutes)
+alarms: $(READY) ## Recompute the table of false alarms (ten minutes)
 	$(BIN)/python docs/false_alarms.py
 
-coverage: $(READY) ## Make the tables of how often intervals cover again (half an hour)
+coverage: $(READY) ## Recompute the tables of interval coverage (half an hour)
 	$(BIN)/python docs/coverage.py
 	$(BIN)/python docs/varied.py
 
-coverage-of-tests: $(READY) ## Measure which branches the tests take; ROOM=physics for one room
+coverage-of-tests: $(READY) ## Measure branch coverage of the tests; ROOM=physics for one package
 	$(BIN)/python -m coverage erase
 	$(BIN)/python -m coverage run -m pytest $(PARALLEL) tests/$(ROOM)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report $(if $(ROOM),--include "*/counterspin/$(ROOM)/*")
 
-wheelhouse: $(READY) ## Collect all wheels for a machine without a network: PLATFORM=win_amd64 TARGET=3.12
+wheelhouse: $(READY) ## Collect all wheels for offline installation: PLATFORM=win_amd64 TARGET=3.12
 	$(BIN)/python requirements/wheelhouse.py $(if $(PLATFORM),--platform $(PLATFORM)) \
 	  $(if $(TARGET),--python $(TARGET))
 
-pictures: $(READY) ## Make the pictures and examples of the documentation again
+pictures: $(READY) ## Regenerate the pictures and examples of the documentation
 	$(BIN)/python docs/pictures.py
 
-lock: ## Renew the pins: make lock UPGRADE=--upgrade
+lock: ## Update the pinned versions: make lock UPGRADE=--upgrade
 	@$(require-python)
 	$(PYTHON) -m venv build/lock
 	build/lock/bin/python -m pip --disable-pip-version-check --quiet install --require-hashes \

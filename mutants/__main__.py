@@ -1,9 +1,9 @@
-"""Plant single errors into a copy of the package, and see whether `counterspin validate` does.
+"""Introduce single errors into a copy of the package; count those that tests detect.
 
-``make mutants``, or ``python -m mutants [--only TEXT] [--tests]``. The errors are those of
-``mutants.toml`` beside this file. Each is planted by itself, and the reference cases are run in a
-process of their own until one fails. Where none does, ``--tests`` runs the test files that the
-error names. The end has status 1 if more than three errors pass `validate`, or one its tests.
+``make mutants``, or ``python -m mutants [--only TEXT] [--tests]``. The errors (mutants) are listed
+in ``mutants.toml``. For each mutant, a new process runs the reference cases of `counterspin
+validate` until one fails. If none fails, ``--tests`` runs the test files of the mutant. The exit
+status is 1 if more than three mutants survive `validate`, or one survives its tests.
 """
 
 import argparse
@@ -20,96 +20,97 @@ HERE = Path(__file__).parent
 REPOSITORY = HERE.parent
 SOURCE = REPOSITORY / "src" / "counterspin"
 
-#: How many may pass `validate`.
-MOST = 3
+#: Number of mutants that may survive `validate`.
+MAX_SURVIVORS = 3
 
-#: Whole campaigns first: they see most. Prints the first case that does not pass, if there is one.
-RUN = """
+#: Print the name of the first failed case, if any; whole campaigns run first and detect most.
+RUN_CASES = """
 from counterspin.validation.cases import cases
 from counterspin.validation.validate import check_case
-for one in sorted(cases(), key=lambda one: not one.kernel.endswith((":calibrate", ":apply"))):
-    if check_case(one).state == "failed":
-        print(one.name)
+for case in sorted(cases(), key=lambda case: not case.kernel.endswith((":calibrate", ":apply"))):
+    if check_case(case).state == "failed":
+        print(case.name)
         break
 """
 
 
-def mutants():
-    """Return the errors: `file`, `old`, `new` and perhaps `tests` of each."""
+def read_mutants():
+    """Return the mutants: `file`, `old`, `new` and optional `tests` of each."""
     return tomllib.loads((HERE / "mutants.toml").read_text(encoding="utf-8"))["mutants"]
 
 
-def planted(mutant):
-    """Return the text of the file with the error in it; ValueError where its place is not there."""
+def mutate_source(mutant):
+    """Return the text of the file with the error; raise ValueError unless `old` occurs once."""
     path = SOURCE / mutant["file"]
     text = path.read_text(encoding="utf-8") if path.exists() else ""
-    if (times := text.count(mutant["old"])) != 1:
-        raise ValueError(
-            f"{mutant['file']}: {mutant['old']!r} stands there {times} times, not once"
-        )
+    if (n_occurrences := text.count(mutant["old"])) != 1:
+        raise ValueError(f"{mutant['file']}: {mutant['old']!r} occurs {n_occurrences} times")
     if mutant["old"] == mutant["new"]:
         raise ValueError(f"{mutant['file']}: {mutant['old']!r} is not changed")
     return text.replace(mutant["old"], mutant["new"])
 
 
-def run(words, folder):
-    """Return the ended process of words, with the package of a folder."""
-    there = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
-    words = [sys.executable, "-W", "ignore", *words]
+def run_python(arguments, folder):
+    """Run Python with the package in a folder; return the completed process."""
+    environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-W", "ignore", *arguments]
     return subprocess.run(
-        words, cwd=REPOSITORY, env=there, capture_output=True, text=True, check=False
+        command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=False
     )
 
 
-def seen_by(mutant, folder, with_tests):
-    """Return what names an error, in words; empty where nothing does."""
-    found = run(["-c", RUN], folder)
-    if found.returncode:
-        return f"validate ends: {found.stderr.strip().splitlines()[-1]}"
-    if found.stdout:
-        return f"validate: {found.stdout.strip()}"
-    files = mutant.get("tests", [])
-    if with_tests and files:
-        tested = run(["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *files], folder)
-        if tested.returncode == 1:
-            return f"tests: {', '.join(files)}"
+def detect_mutant(mutant, folder, with_tests):
+    """Return the check that detects a mutant and the failed case or files; empty if none does."""
+    validation = run_python(["-c", RUN_CASES], folder)
+    if validation.returncode:
+        return f"validate ends: {validation.stderr.strip().splitlines()[-1]}"
+    if validation.stdout:
+        return f"validate: {validation.stdout.strip()}"
+    test_files = mutant.get("tests", [])
+    if with_tests and test_files:
+        tests = run_python(
+            ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *test_files], folder
+        )
+        if tests.returncode == 1:
+            return f"tests: {', '.join(test_files)}"
     return ""
 
 
 def main():
-    """Plant what is asked for; return 1 if too many are seen by nothing."""
-    words = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    words.add_argument("--only", default="", help="errors whose file or text has this")
-    words.add_argument(
-        "--tests", action="store_true", help="run the tests named where none is seen"
+    """Test the selected mutants; return 1 if too many survive."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--only", default="", help="mutants whose file or old text contains this")
+    parser.add_argument(
+        "--tests", action="store_true", help="run the test files of mutants that survive validate"
     )
-    asked = words.parse_args()
-    chosen = [m for m in mutants() if asked.only in m["file"] + m["old"]]
-    counts, passed, started = {"validate": 0, "tests": 0}, [], time.monotonic()
+    arguments = parser.parse_args()
+    selected = [m for m in read_mutants() if arguments.only in m["file"] + m["old"]]
+    counts, survivors, start = {"validate": 0, "tests": 0}, [], time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "counterspin"
-        shutil.copytree(SOURCE, copy)
-        if reason := seen_by({}, folder, False):
-            sys.exit(f"without any error, {reason}")
-        for mutant in chosen:
-            place = copy / mutant["file"]
-            place.write_text(planted(mutant), encoding="utf-8")
-            words = seen_by(mutant, folder, asked.tests)
-            shutil.copy2(SOURCE / mutant["file"], place)  # with its time: its bytecode still counts
+        package = Path(folder) / "counterspin"
+        shutil.copytree(SOURCE, package)
+        if failure := detect_mutant({}, folder, False):
+            sys.exit(f"without a mutant, {failure}")
+        for mutant in selected:
+            path = package / mutant["file"]
+            path.write_text(mutate_source(mutant), encoding="utf-8")
+            detection = detect_mutant(mutant, folder, arguments.tests)
+            shutil.copy2(SOURCE / mutant["file"], path)  # keeps its time, so its bytecode is valid
             print(
-                f"{mutant['file']}: {mutant['new'].strip()[:70]!r}: {words or 'PASSES'}", flush=True
+                f"{mutant['file']}: {mutant['new'].strip()[:70]!r}: {detection or 'SURVIVES'}",
+                flush=True,
             )
-            if words:
-                counts[words.partition(":")[0].split()[0]] += 1
+            if detection:
+                counts[detection.partition(":")[0].split()[0]] += 1
             else:
-                passed.append(mutant)
-    unseen = counts["tests"] + len(passed)
-    minutes = (time.monotonic() - started) / 60.0
+                survivors.append(mutant)
+    n_undetected = counts["tests"] + len(survivors)
+    minutes = (time.monotonic() - start) / 60.0
     print(
-        f"{len(chosen)} errors: {counts['validate']} named by validate, {counts['tests']} by "
-        f"tests, {len(passed)} by nothing, in {minutes:.0f} min"
+        f"{len(selected)} mutants: {counts['validate']} detected by validate, {counts['tests']} by "
+        f"tests, {len(survivors)} survived, in {minutes:.0f} min"
     )
-    return int(unseen > MOST or (asked.tests and bool(passed)))
+    return int(n_undetected > MAX_SURVIVORS or (arguments.tests and bool(survivors)))
 
 
 if __name__ == "__main__":

@@ -1,47 +1,49 @@
-"""The errors that `make mutants` plants are there to be planted, and one of them is seen."""
+"""Every mutant of `make mutants` can be introduced, and one of them is detected."""
 
 import ast
 import shutil
 
 import pytest
-from mutants.__main__ import REPOSITORY, SOURCE, mutants, planted, seen_by
+from mutants.__main__ import REPOSITORY, SOURCE, detect_mutant, mutate_source, read_mutants
 
-ROOMS = {"physics", "inference", "campaign", "calibration", "certificates", "correction", "records"}
+MUTATED_PACKAGES = {
+    *("physics", "inference", "campaign", "calibration", "certificates", "correction", "records")
+}
 
 
-def test_every_mutant_can_be_planted():
+def test_every_mutant_gives_valid_syntax():
     """After a code change, update mutants/mutants.toml."""
-    wrong = []
-    for mutant in mutants():
+    failures = []
+    for mutant in read_mutants():
         try:
-            ast.parse(planted(mutant))
+            ast.parse(mutate_source(mutant))
         except (ValueError, SyntaxError) as error:
-            wrong.append(f"{mutant['file']}: {error}")
-    assert not wrong, "\n".join(wrong)
+            failures.append(f"{mutant['file']}: {error}")
+    assert not failures, "\n".join(failures)
 
 
 def test_mutants_cover_computing_packages_and_name_tests():
-    listed = mutants()
-    assert len(listed) >= 60
-    assert len({(one["file"], one["old"], one["new"]) for one in listed}) == len(listed)
-    assert {one["file"].partition("/")[0] for one in listed} >= ROOMS
-    assert all((REPOSITORY / test).is_file() for one in listed for test in one.get("tests", ()))
+    mutants = read_mutants()
+    assert len(mutants) >= 60
+    assert len({(mutant["file"], mutant["old"], mutant["new"]) for mutant in mutants}) == len(
+        mutants
+    )
+    assert {mutant["file"].partition("/")[0] for mutant in mutants} >= MUTATED_PACKAGES
+    assert all(
+        (REPOSITORY / file).is_file() for mutant in mutants for file in mutant.get("tests", ())
+    )
 
 
-def test_planting_missing_line_raises():
+def test_missing_old_text_raises_value_error():
     for change in ({"old": "nothing like this"}, {"file": "physics/none.py"}):
-        with pytest.raises(ValueError, match="stands there 0 times"):
-            planted({**mutants()[0], **change})
+        with pytest.raises(ValueError, match="occurs 0 times"):
+            mutate_source({**read_mutants()[0], **change})
 
 
 @pytest.mark.slow
 def test_validate_detects_mutant(tmp_path):
-    copy = tmp_path / "counterspin"
-    shutil.copytree(SOURCE, copy)
-    mutant = next(
-        actual_mutant
-        for actual_mutant in mutants()
-        if actual_mutant["file"] == "correction/apply.py"
-    )
-    (copy / mutant["file"]).write_text(planted(mutant), encoding="utf-8")
-    assert seen_by(mutant, tmp_path, False).startswith("validate: ")
+    package = tmp_path / "counterspin"
+    shutil.copytree(SOURCE, package)
+    mutant = next(m for m in read_mutants() if m["file"] == "correction/apply.py")
+    (package / mutant["file"]).write_text(mutate_source(mutant), encoding="utf-8")
+    assert detect_mutant(mutant, tmp_path, False).startswith("validate: ")
