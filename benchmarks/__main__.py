@@ -1,11 +1,11 @@
-"""All benchmarks, one after the other, into one set of tables.
+"""Run all benchmarks, one after the other, and write their tables.
 
     python benchmarks                 # small sizes; tables in build/benchmarks
-    python benchmarks --full          # the sizes of the targets; tables there too
-    python benchmarks --full --keep   # for a release: renews benchmarks/results.json and the docs
-    python benchmarks --full --only machine,study   # renews these tables alone
+    python benchmarks --full          # full sizes, to which the targets apply
+    python benchmarks --full --keep   # for a release: updates benchmarks/results.json and the docs
+    python benchmarks --full --only machine,study   # updates these tables only
 
-What documentation quotes, and tests hold it to, is what was kept: from a full run only.
+The documentation shows the results of a full run with --keep, and tests compare them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import plan
 import sizes
 import study
 import workers
-from table import ROOT, options, place, render, save
+from table import ROOT, make_parser, render, results_folder, save
 
 BENCHMARKS = {
     "machine": machine,
@@ -33,21 +33,21 @@ BENCHMARKS = {
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = options(__doc__.splitlines()[0])
-    parser.add_argument("--only", help=f"some of {','.join(BENCHMARKS)}; the others' stay")
-    parser.add_argument("--keep", action="store_true", help="with --full: renew what docs quote")
-    chosen = parser.parse_args(arguments)
-    if chosen.keep and not chosen.full:
-        parser.error("only a full run is kept: give --full too")
-    measured = []
-    for name in chosen.only.split(",") if chosen.only else BENCHMARKS:
-        found = BENCHMARKS[name].tables(chosen.full, chosen.repeats)
-        print(render(found), flush=True)
-        measured += found
-    tables = save(measured, chosen.keep, ROOT)
+    parser = make_parser(__doc__.splitlines()[0])
+    parser.add_argument("--only", help=f"some of {','.join(BENCHMARKS)}; other tables stay")
+    parser.add_argument("--keep", action="store_true", help="with --full: update the documentation")
+    options = parser.parse_args(arguments)
+    if options.keep and not options.full:
+        parser.error("--keep requires --full")
+    new_tables = []
+    for name in options.only.split(",") if options.only else BENCHMARKS:
+        benchmark_tables = BENCHMARKS[name].tables(options.full, options.repeats)
+        print(render(benchmark_tables), flush=True)
+        new_tables += benchmark_tables
+    tables = save(new_tables, options.keep, ROOT)
     if {costs.TRIALS, costs.SAMPLES} <= {table.title for table in tables}:
-        pictures = ROOT / "docs/images" if chosen.keep else place(ROOT, keep=False)
-        costs.draw(tables, pictures / "benchmarks.svg")
+        image_folder = ROOT / "docs/images" if options.keep else results_folder(ROOT, keep=False)
+        costs.draw(tables, image_folder / "benchmarks.svg")
 
 
 if __name__ == "__main__":

@@ -1,14 +1,17 @@
-"""A campaign of long records, whole process: against reading it, and against a peer.
+"""Time the calibration of long records, and compare it with reading alone and with a peer.
 
     python benchmarks/calibrate.py          # 1e6 rows of CSV, 1e7 of Parquet
     python benchmarks/calibrate.py --full   # 1e7 rows of CSV, 1e8 of Parquet
 
-These things happen to the same files, each in a fresh process, in turn: polars sums their columns;
-their SHA-256 is taken; polars decodes them while that goes on; where there is a C++ compiler, a
-parser that checks nothing reads the CSV (`csv_limit.cpp`); counterspin reads, checks and reduces
-them, and identifies the rotation; `counterspin calibrate` does all that it does (that, checksums,
-joint fit, comparison with the two-stage method, report); the peer does what a laboratory's script
-would.
+Each command runs in a new process on the same files, and the commands alternate:
+
+- polars sums the columns
+- SHA-256 of the files
+- polars decodes the files, with concurrent SHA-256
+- a parser without checks reads the CSV (`csv_limit.cpp`), if there is a C++ compiler
+- counterspin reads, checks and reduces the records, and identifies the rotation
+- `counterspin calibrate`: in addition, checksums, joint fit, two-stage method and report
+- the peer: a typical script of a laboratory
 """
 
 from __future__ import annotations
@@ -19,20 +22,20 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from process import COUNTERSPIN, PYTHON, interleaved, measure
-from table import Cell, Table, script
+from process import COUNTERSPIN, PYTHON, measure, measure_interleaved
+from table import Cell, Table, run_script
 
 TRUTH_K_II = 2e-5
 
-READ = """
+READ_SCRIPT = """
 import sys, polars as pl
 scan = pl.scan_csv if sys.argv[2] == ".csv" else pl.scan_parquet
 files = [f"{sys.argv[1]}/run{n}{sys.argv[2]}" for n in range(3)]
 scan(files).select(pl.all().sum()).collect(engine="streaming")
 """
 
-# The least that decoding and checksums can take on all cores: nothing is checked, nothing kept.
-LEAST = """
+# Lower limit for decoding and checksums on all cores: without checks, the data is discarded.
+DECODE_SCRIPT = """
 import sys, threading, hashlib
 files = [f"{sys.argv[1]}/run{n}{sys.argv[2]}" for n in range(3)]
 def checksum(file):
@@ -50,15 +53,15 @@ for thread in threads:
     thread.join()
 """
 
-HASH = """
+HASH_SCRIPT = """
 import hashlib, pathlib, sys
 for file in pathlib.Path(sys.argv[1]).glob("run*"):
     with file.open("rb") as opened:
         hashlib.file_digest(opened, "sha256")
 """
 
-# One thread for matrices, as the command has it.
-REDUCE = """
+# One thread for linear algebra, as in the command.
+REDUCE_SCRIPT = """
 import os, sys
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from counterspin.campaign.description import read_campaign
@@ -69,9 +72,11 @@ for run in observe_runs(read_campaign(sys.argv[1])):
 
 
 def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
-    """Measure both formats."""
+    """Return the table of both formats."""
     sizes = {".csv": 1e7, ".parquet": 1e8} if full else {".csv": 1e6, ".parquet": 1e7}
-    found = [_column(suffix, int(size), repeats or 5) for suffix, size in sizes.items()]
+    format_columns = [
+        _measure_format(suffix, int(size), repeats or 5) for suffix, size in sizes.items()
+    ]
     remark = (
         "The records contain time, angle and displacement for 400 s at each of three rates, "
         "with 0.01 m of noise. Times are for a whole process, with the files in the "
@@ -82,71 +87,91 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
         "targets for calibrate are at most 1.7 times the time of polars, and less than 1000 MB of "
         "memory."
     )
-    columns = ["", *(f"{size:.0e} rows, {suffix[1:]}" for suffix, size in sizes.items())]
-    rows = [[label, *(column[label] for column in found)] for label in found[0]]
-    return [Table("Long records", remark, columns, rows)]
+    headings = ["", *(f"{size:.0e} rows, {suffix[1:]}" for suffix, size in sizes.items())]
+    rows = [[label, *(column[label] for column in format_columns)] for label in format_columns[0]]
+    return [Table("Long records", remark, headings, rows)]
 
 
-def _column(suffix: str, size: int, repeats: int) -> dict[str, Cell]:
-    here = Path(__file__).parent
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        # In a process of its own, so that this one stays small: see `process`.
-        make = [*PYTHON, str(here / "make_campaign.py"), name, str(size), suffix]
-        subprocess.run(make, check=True)
+def _measure_format(suffix: str, n_rows: int, repeats: int) -> dict[str, Cell]:
+    script_folder = Path(__file__).parent
+    with tempfile.TemporaryDirectory() as folder_name:
+        folder = Path(folder_name)
+        # In a separate process, so that this one stays small (see `process`).
+        make_command = [
+            *PYTHON,
+            str(script_folder / "make_campaign.py"),
+            folder_name,
+            str(n_rows),
+            suffix,
+        ]
+        subprocess.run(make_command, check=True)
         megabytes = sum(file.stat().st_size for file in folder.glob(f"*{suffix}")) / 1e6
-        result = folder / "result.json"
-        jobs = {
-            "read": [*PYTHON, "-c", READ, name, suffix],
-            "reduce": [*PYTHON, "-c", REDUCE, name],
-            "hash": [*PYTHON, "-c", HASH, name],
-            "least": [*PYTHON, "-c", LEAST, name, suffix],
-            "ours": [*COUNTERSPIN, "calibrate", name, "--json", str(result), "--overwrite"],
+        result_file = folder / "result.json"
+        commands = {
+            "sum": [*PYTHON, "-c", READ_SCRIPT, folder_name, suffix],
+            "reduce": [*PYTHON, "-c", REDUCE_SCRIPT, folder_name],
+            "hash": [*PYTHON, "-c", HASH_SCRIPT, folder_name],
+            "decode": [*PYTHON, "-c", DECODE_SCRIPT, folder_name, suffix],
+            "calibrate": [
+                *COUNTERSPIN,
+                "calibrate",
+                folder_name,
+                "--json",
+                str(result_file),
+                "--overwrite",
+            ],
         }
-        if suffix == ".csv" and (parser := _compiled(folder)):
-            jobs["parser"] = [parser, *map(str, folder.glob("*.csv"))]
-        found = interleaved(jobs, repeats)
-        # By itself: what it leaves of memory and cache would slow down whoever comes next.
-        peer = measure([*PYTHON, str(here / "peer.py"), name, suffix], 1)
-        k_ii = json.loads(result.read_text("utf-8"))["accelerometers"]["Qx"]["coefficients"]["K_II"]
-    read, ours, parser_cpu = found["read"], found["ours"], None
-    if "parser" in found:
-        parser_cpu = found["parser"].cpu
-    their = json.loads(peer.output)
+        if suffix == ".csv" and (parser := _compile_parser(folder)):
+            commands["parser"] = [parser, *map(str, folder.glob("*.csv"))]
+        measurements = measure_interleaved(commands, repeats)
+        # Not interleaved: its use of memory and cache would slow down the next process.
+        peer_measurement = measure(
+            [*PYTHON, str(script_folder / "peer.py"), folder_name, suffix], 1
+        )
+        k_ii = json.loads(result_file.read_text("utf-8"))["accelerometers"]["Qx"]["coefficients"][
+            "K_II"
+        ]
+    reading, calibration, parser_cpu = measurements["sum"], measurements["calibrate"], None
+    if "parser" in measurements:
+        parser_cpu = measurements["parser"].cpu_time
+    peer_result = json.loads(peer_measurement.output)
     return {
         "three files (MB)": megabytes,
-        "polars reads and sums (s)": read.fastest,
-        "counterspin reads and reduces (s)": found["reduce"].fastest,
-        "counterspin calibrate (s)": ours.fastest,
-        "peer (s)": peer.fastest,
-        "calibrate / polars": ours.fastest / read.fastest,
-        "polars decodes with concurrent SHA-256 / polars": found["least"].fastest / read.fastest,
-        "calibrate / (polars decodes with concurrent SHA-256)": ours.fastest
-        / found["least"].fastest,
-        "calibrate / polars, processor time": ours.cpu / read.cpu,
+        "polars reads and sums (s)": reading.fastest,
+        "counterspin reads and reduces (s)": measurements["reduce"].fastest,
+        "counterspin calibrate (s)": calibration.fastest,
+        "peer (s)": peer_measurement.fastest,
+        "calibrate / polars": calibration.fastest / reading.fastest,
+        "polars decodes with concurrent SHA-256 / polars": measurements["decode"].fastest
+        / reading.fastest,
+        "calibrate / (polars decodes with concurrent SHA-256)": calibration.fastest
+        / measurements["decode"].fastest,
+        "calibrate / polars, processor time": calibration.cpu_time / reading.cpu_time,
         "calibrate / (polars decodes with concurrent SHA-256), processor time": (
-            ours.cpu / found["least"].cpu
+            calibration.cpu_time / measurements["decode"].cpu_time
         ),
-        "polars reads and sums, processor time (s)": read.cpu,
-        "calibrate, processor time (s)": ours.cpu,
-        "SHA-256 alone, processor time (s)": found["hash"].cpu,
+        "polars reads and sums, processor time (s)": reading.cpu_time,
+        "calibrate, processor time (s)": calibration.cpu_time,
+        "SHA-256 alone, processor time (s)": measurements["hash"].cpu_time,
         "C++ parser alone, processor time (s)": parser_cpu,
         "calibrate / (C++ parser + SHA-256), processor time": (
-            None if parser_cpu is None else ours.cpu / (parser_cpu + found["hash"].cpu)
+            None
+            if parser_cpu is None
+            else calibration.cpu_time / (parser_cpu + measurements["hash"].cpu_time)
         ),
-        "reads and reduces / polars": found["reduce"].fastest / read.fastest,
-        "peer / calibrate": peer.fastest / ours.fastest,
-        "calibrate, peak memory (MB)": ours.peak,
-        "peer, peak memory (MB)": peer.peak,
+        "reads and reduces / polars": measurements["reduce"].fastest / reading.fastest,
+        "peer / calibrate": peer_measurement.fastest / calibration.fastest,
+        "calibrate, peak memory (MB)": calibration.peak_memory,
+        "peer, peak memory (MB)": peer_measurement.peak_memory,
         "calibrate: u of K_II (g/g²)": k_ii["u"],
         "calibrate: error of K_II / u": (k_ii["value"] - TRUTH_K_II) / k_ii["u"],
-        "peer: u of K_II (g/g²)": their["u"],
-        "peer: error of K_II / u": (their["K_II"] - TRUTH_K_II) / their["u"],
+        "peer: u of K_II (g/g²)": peer_result["u"],
+        "peer: error of K_II / u": (peer_result["K_II"] - TRUTH_K_II) / peer_result["u"],
     }
 
 
-def _compiled(folder: Path) -> str | None:
-    """Return the parser in C++, or None where nothing compiles it."""
+def _compile_parser(folder: Path) -> str | None:
+    """Compile the C++ parser; return its path, or None without a working compiler."""
     compiler, parser = shutil.which("c++"), folder / "csv_limit"
     source = str(Path(__file__).with_name("csv_limit.cpp"))
     options = ["-O3", "-std=c++17", "-o", str(parser)]
@@ -156,4 +181,4 @@ def _compiled(folder: Path) -> str | None:
 
 
 if __name__ == "__main__":
-    script(__doc__.splitlines()[0], tables)
+    run_script(__doc__.splitlines()[0], tables)

@@ -1,11 +1,11 @@
-"""The commands on a campaign of usual size, whole processes.
+"""Time the commands on a typical campaign, as whole processes.
 
     python benchmarks/commands.py
 
-Three rates, 100 revolutions each at 50 Hz, two accelerometers: 35,000 rows with 70,000
-displacements. What the description does not state is assumed to be perfect (`assume = "all"`), and
-in a second campaign of the same records nothing is. In two others the records have noise of two
-kinds: one states it, the other leaves it to be estimated by restricted maximum likelihood.
+The campaign has three rates of 100 revolutions each at 50 Hz, and two accelerometers: 35,000 rows
+with 70,000 displacements. Unstated terms are fixed at nominal (`assume = "all"`), except in a
+second campaign with the same records. Two more campaigns have white noise and a random walk:
+stated in one, and estimated by restricted maximum likelihood in the other.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import tempfile
 from pathlib import Path
 
 from header import EAST, NORTH, header
-from process import COUNTERSPIN, PYTHON, interleaved
-from table import Table, script
+from process import COUNTERSPIN, PYTHON, measure_interleaved
+from table import Table, run_script
 
 DESCRIPTION = (
     header("Three rates, two accelerometers", EAST, NORTH)
@@ -44,29 +44,29 @@ RUNS = "".join(
     f'[[runs]]\nname = "run{n}"\nrate = "{rate} rev/s"\nrecord = "run{n}.csv"\n'
     for n, rate in enumerate((0.25, 0.5, 1))
 )
-GIVEN = """
+WHITE_NOISE = """
 [noise]
 displacement = "0.01 m"
 [truth.noise]
 displacement = "0.01 m"
 angle = "1e-6 rad"
 """
-STATED = """
+STATED_NOISE = """
 [noise]
 displacement = "0.01 m"
 acceleration = "3e-6 g/Hz^0.5"
 """
-MIXED = """
+TRUE_NOISE = """
 [truth.noise]
 displacement = "0.01 m"
 acceleration = "3e-6 g/Hz^0.5"
 angle = "1e-6 rad"
 """
 
-ASSUMED = 'assume = "all"\n'
-STARTING = "Python with NumPy, scipy.linalg, polars, Pydantic"
-TWO_KINDS = "counterspin calibrate, two noise types, stated"
-#: counterspin sets the number of threads too; without it, idle threads of BLAS use processor time.
+ASSUME_ALL = 'assume = "all"\n'
+START_UP = "Python with NumPy, scipy.linalg, polars, Pydantic"
+STATED_NOISE_JOB = "counterspin calibrate, two noise types, stated"
+#: One thread, as in counterspin: idle BLAS threads use processor time.
 IMPORTS = (
     "import os; os.environ.setdefault('OPENBLAS_NUM_THREADS', '1'); "
     "import numpy, scipy.linalg, polars, pydantic"
@@ -74,67 +74,69 @@ IMPORTS = (
 
 
 def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
-    """Time the commands in turn."""
+    """Return the table of the commands."""
     del full
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as parent:
         campaigns = {
-            "given": DESCRIPTION + GIVEN,
-            "nothing": DESCRIPTION.replace(ASSUMED, "") + GIVEN,
-            "stated": DESCRIPTION + STATED + MIXED,
-            "mixed": DESCRIPTION + MIXED,
+            "typical": DESCRIPTION + WHITE_NOISE,
+            "no assumptions": DESCRIPTION.replace(ASSUME_ALL, "") + WHITE_NOISE,
+            "stated noise": DESCRIPTION + STATED_NOISE + TRUE_NOISE,
+            "estimated noise": DESCRIPTION + TRUE_NOISE,
         }
-        folders = {key: str(Path(name) / key) for key in campaigns}
+        folders = {name: str(Path(parent) / name) for name in campaigns}
         for folder, text in zip(folders.values(), campaigns.values(), strict=True):
             Path(folder).mkdir()
             (Path(folder) / "campaign.toml").write_text(text + RUNS, encoding="utf-8")
             simulate = [*COUNTERSPIN, "simulate", folder, "-o", folder]
             subprocess.run(simulate, check=True, stdout=subprocess.DEVNULL)
-        out = str(Path(name) / "again")
+        output_folder = str(Path(parent) / "again")
         calibrate = [*COUNTERSPIN, "calibrate"]
-        # The command, target of the time in s, target of its ratio, and to what that is.
+        # Label -> command, target of the time in s, target of the ratio, label of the reference.
         jobs: dict[str, tuple[list[str], float | None, float | None, str]] = {
-            STARTING: ([*PYTHON, "-c", IMPORTS], None, None, STARTING),
-            "counterspin --help": ([*COUNTERSPIN, "--help"], 0.3, None, STARTING),
+            START_UP: ([*PYTHON, "-c", IMPORTS], None, None, START_UP),
+            "counterspin --help": ([*COUNTERSPIN, "--help"], 0.3, None, START_UP),
             "counterspin simulate": (
-                [*COUNTERSPIN, "simulate", folders["given"], "-o", out, "--overwrite"],
+                [*COUNTERSPIN, "simulate", folders["typical"], "-o", output_folder, "--overwrite"],
                 1.0,
                 None,
-                STARTING,
+                START_UP,
             ),
-            "counterspin calibrate": ([*calibrate, folders["given"]], 1.5, 1.35, STARTING),
+            "counterspin calibrate": ([*calibrate, folders["typical"]], 1.5, 1.35, START_UP),
             "counterspin calibrate, nothing assumed": (
-                [*calibrate, folders["nothing"]],
+                [*calibrate, folders["no assumptions"]],
                 None,
                 1.6,
-                STARTING,
+                START_UP,
             ),
             "counterspin calibrate --method two-stage": (
-                [*calibrate, folders["given"], "--method", "two-stage"],
+                [*calibrate, folders["typical"], "--method", "two-stage"],
                 None,
                 None,
-                STARTING,
+                START_UP,
             ),
-            TWO_KINDS: ([*calibrate, folders["stated"]], None, None, STARTING),
+            STATED_NOISE_JOB: ([*calibrate, folders["stated noise"]], None, None, START_UP),
             "counterspin calibrate, two noise types, estimated": (
-                [*calibrate, folders["mixed"]],
+                [*calibrate, folders["estimated noise"]],
                 3.0,
                 1.5,
-                TWO_KINDS,
+                STATED_NOISE_JOB,
             ),
         }
-        found = interleaved({job: command for job, (command, *_) in jobs.items()}, repeats or 5)
+        measurements = measure_interleaved(
+            {job: command for job, (command, *_) in jobs.items()}, repeats or 5
+        )
     rows = [
         [
             job,
-            found[job].median,
-            found[job].fastest,
-            found[job].fastest / found[other].fastest,
-            found[job].cpu / found[other].cpu,
-            target,
-            ratio,
-            found[job].peak,
+            measurements[job].median,
+            measurements[job].fastest,
+            measurements[job].fastest / measurements[reference].fastest,
+            measurements[job].cpu_time / measurements[reference].cpu_time,
+            target_time,
+            target_ratio,
+            measurements[job].peak_memory,
         ]
-        for job, (_, target, ratio, other) in jobs.items()
+        for job, (_, target_time, target_ratio, reference) in jobs.items()
     ]
     remark = (
         "The campaign has three rates of 100 revolutions each at 50 Hz, and two "
@@ -159,4 +161,4 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
 
 
 if __name__ == "__main__":
-    script(__doc__.splitlines()[0], tables)
+    run_script(__doc__.splitlines()[0], tables)

@@ -1,9 +1,9 @@
-"""What a calibration takes against the samples of its records; and the figure of all costs.
+"""Time calibrations against the number of samples, and draw the figure of all costs.
 
     python benchmarks/costs.py          # 1e4 to 1e6 rows
     python benchmarks/costs.py --full   # 1e4 to 1e7 rows
 
-The same three jobs as in `calibrate.py`, each a whole process, on records in Parquet.
+Three of the processes of `calibrate.py`, on Parquet records.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from calibrate import READ
-from process import COUNTERSPIN, PYTHON, interleaved
-from table import Table, script
+from calibrate import READ_SCRIPT
+from process import COUNTERSPIN, PYTHON, measure_interleaved
+from table import Table, run_script
 
 HERE = Path(__file__).parent
 
@@ -23,27 +23,35 @@ TRIALS, SAMPLES = "Cost against trials", "Cost against samples"
 
 
 def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
-    """Time whole calibrations of short and long records."""
+    """Return the table of calibrations of short and long records."""
     rows = []
     for power in range(4, 8 if full else 7):
-        size = 10**power
-        with tempfile.TemporaryDirectory() as name:
-            make = [*PYTHON, str(HERE / "make_campaign.py"), name, str(size), ".parquet"]
-            subprocess.run(make, check=True)
-            found = interleaved(
+        n_rows = 10**power
+        with tempfile.TemporaryDirectory() as folder_name:
+            make_command = [
+                *PYTHON,
+                str(HERE / "make_campaign.py"),
+                folder_name,
+                str(n_rows),
+                ".parquet",
+            ]
+            subprocess.run(make_command, check=True)
+            measurements = measure_interleaved(
                 {
-                    "counterspin calibrate": [*COUNTERSPIN, "calibrate", name],
-                    "polars reads and sums": [*PYTHON, "-c", READ, name, ".parquet"],
+                    "counterspin calibrate": [*COUNTERSPIN, "calibrate", folder_name],
+                    "polars reads and sums": [*PYTHON, "-c", READ_SCRIPT, folder_name, ".parquet"],
                     "script with NumPy and pandas": [
                         *PYTHON,
                         str(HERE / "peer.py"),
-                        name,
+                        folder_name,
                         ".parquet",
                     ],
                 },
                 repeats or 3,
             )
-        rows += [[way, size, measured.fastest] for way, measured in found.items()]
+        rows += [
+            [process, n_rows, measurement.fastest] for process, measurement in measurements.items()
+        ]
     remark = (
         "Times are for a whole process that reads Parquet files, including the start "
         "of Python. The table gives the fastest of three repetitions."
@@ -51,18 +59,18 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     return [Table(SAMPLES, remark, ["process", "samples", "seconds"], rows)]
 
 
-def draw(results: Sequence[Table], file: Path) -> None:
-    """Draw both costs, log-log, as SVG."""
+def draw(tables: Sequence[Table], file: Path) -> None:
+    """Draw both cost tables on logarithmic axes, as SVG."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     with mpl.rc_context({"svg.hashsalt": "counterspin", "svg.fonttype": "none", "font.size": 9.0}):
         figure = Figure(figsize=(7.0, 6.6), layout="constrained")
         for axes, title in zip(figure.subplots(2, 1), (TRIALS, SAMPLES), strict=True):
-            (table,) = [one for one in results if one.title == title]
-            for way in dict.fromkeys(row[0] for row in table.rows):
-                points = [(row[1], row[2]) for row in table.rows if row[0] == way]
-                axes.loglog(*zip(*points, strict=True), "o-", markersize=3, label=way)
+            (table,) = [table for table in tables if table.title == title]
+            for process in dict.fromkeys(row[0] for row in table.rows):
+                points = [(row[1], row[2]) for row in table.rows if row[0] == process]
+                axes.loglog(*zip(*points, strict=True), "o-", markersize=3, label=process)
             axes.set_xlabel(table.columns[1])
             axes.set_ylabel("time / s")
             axes.grid(which="major", color="0.9")
@@ -73,4 +81,4 @@ def draw(results: Sequence[Table], file: Path) -> None:
 
 
 if __name__ == "__main__":
-    script(__doc__.splitlines()[0], tables)
+    run_script(__doc__.splitlines()[0], tables)

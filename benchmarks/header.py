@@ -1,4 +1,4 @@
-"""The head of a campaign's description, as the benchmarks have it."""
+"""Common sections of the campaigns in the benchmarks."""
 
 from __future__ import annotations
 
@@ -36,5 +36,5 @@ displacement = { column = "north_m", unit = "m" }
 
 
 def header(title: str, *accelerometers: str) -> str:
-    """Return site, centrifuge, columns and terms, and the accelerometers: `EAST`, `NORTH`."""
+    """Return the TOML of site, centrifuge, columns, terms and accelerometers (`EAST`, `NORTH`)."""
     return HEAD.format(title=title) + "".join(accelerometers)

@@ -1,4 +1,4 @@
-"""Limits of the machine, to hold the other figures against.
+"""Measure the limits of the machine, for comparison with the other benchmarks.
 
 python benchmarks/machine.py
 """
@@ -9,10 +9,10 @@ import os
 import platform
 from pathlib import Path
 
-from process import PYTHON, interleaved
-from table import Cell, Table, script
+from process import PYTHON, measure_interleaved
+from table import Cell, Table, run_script
 
-TRIAD = """
+TRIAD_SCRIPT = """
 import time, numpy as np
 n = 20_000_000
 a, b, c = np.zeros(n), np.ones(n), np.ones(n)
@@ -22,10 +22,10 @@ for _ in range(5):
     np.multiply(c, 3.0, out=a)
     np.add(a, b, out=a)
     best = min(best, time.perf_counter() - begin)
-print(5 * 8 * n / best / 1e9)  # two arrays pass in the product, three in the sum
+print(5 * 8 * n / best / 1e9)  # the product accesses two arrays, the sum three
 """
 
-NORMALS = """
+NORMALS_SCRIPT = """
 import time, numpy as np
 generator, n, best = np.random.default_rng(1), 10_000_000, 1e9
 out = np.empty(n)
@@ -36,23 +36,23 @@ for _ in range(3):
 print(n / best / 1e6)
 """
 
-TWO_CORES = """
+TWO_CORES_SCRIPT = """
 import time, numpy as np
 from concurrent.futures import ThreadPoolExecutor
 outs = [np.empty(16384), np.empty(16384)]
 generators = [np.random.default_rng(n) for n in range(2)]
-def work(place):  # NumPy lets the other thread run meanwhile
+def draw(k):  # NumPy releases the GIL
     for _ in range(2000):
-        generators[place].standard_normal(out=outs[place])
-def seconds(count):
-    with ThreadPoolExecutor(count) as pool:
+        generators[k].standard_normal(out=outs[k])
+def seconds(n_threads):
+    with ThreadPoolExecutor(n_threads) as pool:
         begin = time.perf_counter()
-        list(pool.map(work, range(count)))
+        list(pool.map(draw, range(n_threads)))
         return time.perf_counter() - begin
 print(max(2 * seconds(1) / seconds(2) for _ in range(5)))
 """
 
-CHECKSUM = """
+CHECKSUM_SCRIPT = """
 import hashlib, time
 data, best = bytes(1 << 26), 1e9
 for _ in range(5):
@@ -64,21 +64,23 @@ print(len(data) / best / 1e9)
 
 
 def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
-    """Measure memory, random numbers and checksums, each in a process of its own."""
+    """Return the table of memory, random number and checksum rates."""
     del full
-    limits = {
-        "memory, NumPy triad a = b + 3 c, one core (GB/s)": TRIAD,
-        "standard normals, one core (million/s)": NORMALS,
-        "standard normals, ratio of two cores at once to one core": TWO_CORES,
-        "SHA-256, one core (GB/s)": CHECKSUM,
+    scripts = {
+        "memory, NumPy triad a = b + 3 c, one core (GB/s)": TRIAD_SCRIPT,
+        "standard normals, one core (million/s)": NORMALS_SCRIPT,
+        "standard normals, ratio of two cores at once to one core": TWO_CORES_SCRIPT,
+        "SHA-256, one core (GB/s)": CHECKSUM_SCRIPT,
     }
-    commands = {name: [*PYTHON, "-c", code] for name, code in limits.items()}
-    found = interleaved(commands, repeats or 1)
-    rows: list[list[Cell]] = [[name, float(measured.output)] for name, measured in found.items()]
-    return [Table("Limits of the machine", _machine(), ["limit", "measured"], rows)]
+    commands = {name: [*PYTHON, "-c", code] for name, code in scripts.items()}
+    measurements = measure_interleaved(commands, repeats or 1)
+    rows: list[list[Cell]] = [
+        [name, float(measurement.output)] for name, measurement in measurements.items()
+    ]
+    return [Table("Limits of the machine", _describe_machine(), ["limit", "measured"], rows)]
 
 
-def _machine() -> str:
+def _describe_machine() -> str:
     name = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -93,4 +95,4 @@ def _machine() -> str:
 
 
 if __name__ == "__main__":
-    script(__doc__.splitlines()[0], tables)
+    run_script(__doc__.splitlines()[0], tables)

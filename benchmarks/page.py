@@ -1,11 +1,11 @@
-"""How soon a record is drawn in the page of `counterspin serve`, in Chromium.
+"""Time the drawing of a record in the page of `counterspin serve`, in Chromium.
 
-    python benchmarks/page.py          # 100,000 and 1,000,000 rows; in build/benchmarks too
-    python benchmarks/page.py --keep   # for a release: into benchmarks/results.json and the docs
+    python benchmarks/page.py          # 100,000 and 1,000,000 rows; writes to build/benchmarks
+    python benchmarks/page.py --keep   # for a release: updates benchmarks/results.json and the docs
 
-For each record: the first look, for which its file is read, a later one, and a zoom; seconds from
-the click to the last curve, the fastest of three. It stands outside of `make bench`, for it needs
-Chromium.
+Measured for each record: the first view, which reads its file, a later view, and a zoom, in
+seconds from the click to the last curve; the fastest of three. Not part of `make bench`, because
+it needs Chromium.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from table import Table, render, save
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "builders"))
 
-ROWS = (100_000, 1_000_000)
-ROUNDS = 3
+ROW_COUNTS = (100_000, 1_000_000)
+N_REPEATS = 3
 
 CAMPAIGN = (
     header("One record", EAST, NORTH)
@@ -42,12 +42,12 @@ record = "run.csv"
 )
 
 
-def make(folder: Path, rows: int) -> None:
-    """Write a campaign with one record of so many rows."""
+def write_campaign(folder: Path, n_rows: int) -> None:
+    """Write a campaign with one record of `n_rows` rows."""
     folder.mkdir()
     (folder / "campaign.toml").write_text(CAMPAIGN, encoding="utf-8")
-    t = np.arange(rows) / 1000.0
-    noise = np.random.default_rng(1).normal(0.0, 0.01, (2, rows))
+    t = np.arange(n_rows) / 1000.0
+    noise = np.random.default_rng(1).normal(0.0, 0.01, (2, n_rows))
     east, north = 2.5 * np.cos(np.pi * t) + noise[0], 2.5 * np.sin(np.pi * t) + noise[1]
     np.savetxt(
         folder / "run.csv",
@@ -59,33 +59,33 @@ def make(folder: Path, rows: int) -> None:
     )
 
 
-def drawn(tab, rows: int, name: str) -> float:
-    """Return the seconds from the click on a campaign's records to their last curve."""
+def time_view(tab, n_rows: int, name: str) -> float:
+    """Return the seconds from the click on the records of a campaign to the last curve."""
     tab.evaluate("location.hash = '#/'")
     tab.get_by_role("heading", name="New campaign").wait_for()
-    begun = time.perf_counter()
+    start = time.perf_counter()
     tab.evaluate(f"location.hash = '#/runs/{name}'")
-    tab.get_by_text(f"({rows:,} rows in total)").wait_for()
-    return time.perf_counter() - begun
+    tab.get_by_text(f"({n_rows:,} rows in total)").wait_for()
+    return time.perf_counter() - start
 
 
-def zoomed(tab) -> float:
-    """Return the seconds from a click on zoom to the next picture."""
-    begun = time.perf_counter()
-    with tab.expect_response(lambda answer: "/api/record?" in answer.url):
+def time_zoom(tab) -> float:
+    """Return the seconds from a click on "Zoom in" to the next picture."""
+    start = time.perf_counter()
+    with tab.expect_response(lambda response: "/api/record?" in response.url):
         tab.get_by_role("button", name="Zoom in").click()
     tab.evaluate("new Promise(requestAnimationFrame)")
-    return time.perf_counter() - begun
+    return time.perf_counter() - start
 
 
 def main(keep: bool) -> None:
     from chromium import launch_chromium
 
-    with tempfile.TemporaryDirectory() as place, open_listener(0) as listener:
-        folder = Path(place)
-        names = [(rows, f"{rows}-{k}") for rows in ROWS for k in range(ROUNDS)]
-        for rows, name in names:
-            make(folder / name, rows)
+    with tempfile.TemporaryDirectory() as parent, open_listener(0) as listener:
+        folder = Path(parent)
+        names = [(rows, f"{rows}-{k}") for rows in ROW_COUNTS for k in range(N_REPEATS)]
+        for n_rows, name in names:
+            write_campaign(folder / name, n_rows)
         credentials = Credentials(listener.getsockname()[1])
         server = make_server(AppState(ServedFolder(folder)), credentials)
         thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
@@ -93,26 +93,26 @@ def main(keep: bool) -> None:
         with launch_chromium() as browser:
             tab = browser.new_page(viewport={"width": 1280, "height": 1000})
             tab.goto(credentials.link)
-            found: dict[int, list[float]] = {}
-            for rows, name in names:
-                times = drawn(tab, rows, name), drawn(tab, rows, name), zoomed(tab)
-                best = map(min, times, found.get(rows, times))
-                found[rows] = [round(seconds, 2) for seconds in best]
+            best_times: dict[int, list[float]] = {}
+            for n_rows, name in names:
+                times = time_view(tab, n_rows, name), time_view(tab, n_rows, name), time_zoom(tab)
+                minima = map(min, times, best_times.get(n_rows, times))
+                best_times[n_rows] = [round(seconds, 2) for seconds in minima]
         server.should_exit = True
         thread.join()
-    measured = Table(
+    table = Table(
         "Records in the application",
         "Each value is the time in seconds from a click on the records of a campaign until "
         "Chromium has drawn the last of three curves. The table gives the fastest of three "
         "measurements by `benchmarks/page.py`.",
         ["rows", "first view, including file reading", "later view", "zoom"],
-        [[f"{rows:,}", *times] for rows, times in found.items()],
+        [[f"{rows:,}", *times] for rows, times in best_times.items()],
     )
-    print(render([measured]))
-    save([measured], keep)
+    print(render([table]))
+    save([table], keep)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--keep", action="store_true", help="renew what docs quote")
+    parser.add_argument("--keep", action="store_true", help="update the documentation")
     main(parser.parse_args().keep)

@@ -1,11 +1,11 @@
-"""K_II from 300 readings by suncal's Monte Carlo; prints JSON.
+"""Compute K_II from 300 readings with the Monte Carlo method of suncal; prints JSON.
 
     python benchmarks/peer_suncal.py FILE SAMPLES
 
-suncal (Sandia's uncertainty calculator) is under the GPL. It is no part of this project, not even
-of its benchmarks' requirements: `benchmarks/study.py` starts this script, which uses nothing of
-counterspin, with a Python that has suncal, if there is one. FILE holds what `study_jobs.py` calls
-"linear": K_II as the linear function of all readings that the two stages amount to.
+suncal (Sandia's uncertainty calculator) is licensed under the GPL. It is not part of this project
+or of the requirements of its benchmarks: `benchmarks/study.py` starts this script, which does not
+use counterspin, with a Python that has suncal, if one is named. FILE is the "linear" object of
+`study_jobs.py`: K_II of the two-stage method as a linear function of all readings.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 import suncal
 
 linear = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
-samples = int(sys.argv[2])
+n_samples = int(sys.argv[2])
 
 weights = [w for run in linear["weights"] for w in run]
 readings = [r for run in linear["readings"] for r in run]
@@ -29,11 +29,11 @@ for i, reading in enumerate(readings):
     model.var(f"x{i}").measure(reading).typeb(std=linear["sigma"])
 mean, u = linear["prior"]
 model.var("K_F").measure(mean).typeb(std=u)
-begin = time.perf_counter()
-found = model.monte_carlo(samples=samples)
-seconds = time.perf_counter() - begin
+start = time.perf_counter()
+result = model.monte_carlo(samples=n_samples)
+seconds = time.perf_counter() - start
 print(
     json.dumps(
-        {"seconds": seconds, "u": float(found.uncertainty["K_II"]), "version": version("suncal")}
+        {"seconds": seconds, "u": float(result.uncertainty["K_II"]), "version": version("suncal")}
     )
 )

@@ -1,10 +1,10 @@
-"""Planning: a whole `counterspin plan`, and predictions of u for a given structure of a plan.
+"""Time `counterspin plan` as a whole process, and predictions of u for given run types.
 
     python benchmarks/plan.py
 
-Eight runs in one attitude and either sense; K_F, K_I, K_II, K_III, tilts, drift and g-sensitivity
-with their priors; whatever is not stated is perfect. The predictions are made in batches of 100
-designs at random, rates and lengths all different, on one core, by `plan_predictions.py`.
+The plan has eight runs in one attitude and both senses, with priors of K_F, K_I, K_II, K_III,
+tilts, drift and g-sensitivity; unstated terms are fixed at nominal. `plan_predictions.py` predicts
+u on one core, in batches of 100 designs with random rates and durations.
 """
 
 from __future__ import annotations
@@ -14,27 +14,29 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from process import COUNTERSPIN, PYTHON, interleaved
-from table import Table, script
+from process import COUNTERSPIN, PYTHON, measure_interleaved
+from table import Table, run_script
 
 HERE = Path(__file__).parent
-RUNS = 8
-BATCH = 100
+N_RUNS = 8
+BATCH_SIZE = 100
 
 
 def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
-    """Time planning and predictions."""
-    with tempfile.TemporaryDirectory() as name:
-        file = Path(name) / "PLAN.toml"
-        init = [*COUNTERSPIN, "plan", "--init", str(file)]
-        subprocess.run(init, check=True, stdout=subprocess.DEVNULL)
-        text = file.read_text(encoding="utf-8").replace("runs = 14", f"runs = {RUNS}")
+    """Return the tables of planning and predictions."""
+    with tempfile.TemporaryDirectory() as folder:
+        plan_file = Path(folder) / "PLAN.toml"
+        init_command = [*COUNTERSPIN, "plan", "--init", str(plan_file)]
+        subprocess.run(init_command, check=True, stdout=subprocess.DEVNULL)
+        text = plan_file.read_text(encoding="utf-8").replace("runs = 14", f"runs = {N_RUNS}")
         for line in ('assume = "all"', "fewest_rates = 1"):
             text = text.replace(f"# {line}", line)
-        file.write_text(text.replace('senses = "one"', 'senses = "both"'), encoding="utf-8")
-        command = [*COUNTERSPIN, "plan", str(file)]
-        found = interleaved({"counterspin plan": command}, repeats or 5)["counterspin plan"]
-        rate, single = _predictions(file, 20 if full else 8)
+        plan_file.write_text(text.replace('senses = "one"', 'senses = "both"'), encoding="utf-8")
+        command = [*COUNTERSPIN, "plan", str(plan_file)]
+        planning = measure_interleaved({"counterspin plan": command}, repeats or 5)[
+            "counterspin plan"
+        ]
+        batch_rate, single_rate = _time_predictions(plan_file, 20 if full else 8)
     return [
         Table(
             "A plan of eight runs",
@@ -42,25 +44,34 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
             "enabled. Times are for a whole process, including the start of Python. "
             "The output includes the limits of the plan and alternative plans.",
             ["process", "median (s)", "fastest (s)", "target (s)", "peak MB"],
-            [["counterspin plan", found.median, found.fastest, 3.0, found.peak]],
+            [["counterspin plan", planning.median, planning.fastest, 3.0, planning.peak_memory]],
         ),
         Table(
             "Predictions of u",
-            f"Each prediction is for {RUNS} runs with random rates and durations. Each value is "
+            f"Each prediction is for {N_RUNS} runs with random rates and durations. Each value is "
             "the rate of the fastest of several batches.",
             ["predictions", "per second", "target"],
-            [[f"in batches of {BATCH}", rate, 10000.0], ["one by one", single, None]],
+            [
+                [f"in batches of {BATCH_SIZE}", batch_rate, 10000.0],
+                ["one by one", single_rate, None],
+            ],
         ),
     ]
 
 
-def _predictions(file: Path, batches: int) -> tuple[float, float]:
-    """Return predictions a second, in batches and one by one; in a process of their own."""
-    command = [*PYTHON, str(HERE / "plan_predictions.py"), str(file), str(RUNS), str(batches)]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-    together, single = json.loads(done.stdout)
-    return together, single
+def _time_predictions(plan_file: Path, n_batches: int) -> tuple[float, float]:
+    """Return predictions per second, in batches and one by one, timed in a separate process."""
+    command = [
+        *PYTHON,
+        str(HERE / "plan_predictions.py"),
+        str(plan_file),
+        str(N_RUNS),
+        str(n_batches),
+    ]
+    process = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    batch_rate, single_rate = json.loads(process.stdout)
+    return batch_rate, single_rate
 
 
 if __name__ == "__main__":
-    script(__doc__.splitlines()[0], tables)
+    run_script(__doc__.splitlines()[0], tables)

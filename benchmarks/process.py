@@ -1,10 +1,10 @@
-"""Times and peak memory of whole processes, taken from outside.
+"""Measure time and peak memory of whole processes.
 
-- `measure`: runs a command some times, each in a fresh process
-- `interleaved`: several commands in turn, so that all meet the same load of the machine
+- `measure`: run a command several times, each in a new process
+- `measure_interleaved`: alternate several commands, so that all have the same load of the machine
 
-This module imports nothing beside the standard library: a child's peak memory is at least that of
-the process that started it.
+This module imports only the standard library, because the peak memory of a child is at least that
+of its parent.
 """
 
 from __future__ import annotations
@@ -19,93 +19,94 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-#: macOS gives peak memory in bytes, Linux in kilobytes.
-_PEAK_UNIT = 1e-6 if sys.platform == "darwin" else 1e-3
+#: macOS reports peak memory in bytes, Linux in kilobytes.
+_MEGABYTES_PER_MAXRSS = 1e-6 if sys.platform == "darwin" else 1e-3
 
-#: The command line as a user has it, from the environment that runs the benchmarks.
+#: The installed command, of the environment that runs the benchmarks.
 COUNTERSPIN = [str(Path(sys.executable).with_name("counterspin"))]
 PYTHON = [sys.executable]
 
-#: As a user has it: modules are compiled once, not every time. Taken before any benchmark sets its
-#: own threads.
+#: Environment that caches bytecode, as usual; copied before any benchmark limits its threads.
 _ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurement:
     """Repetitions of one command.
 
     Attributes
     ----------
-    walls, cpus
-        Elapsed and processor time of each, s.
-    peak
-        Largest resident memory of any, MB.
+    wall_times, cpu_times
+        Elapsed and processor time of each repetition, s.
+    peak_memory
+        Largest resident memory of all repetitions, MB.
     output
-        Standard output of the last.
+        Standard output of the last repetition.
     """
 
-    walls: tuple[float, ...]
-    cpus: tuple[float, ...]
-    peak: float
+    wall_times: tuple[float, ...]
+    cpu_times: tuple[float, ...]
+    peak_memory: float
     output: str
 
     @property
     def fastest(self) -> float:
-        """Least elapsed time: that of the run which other work disturbed least."""
-        return min(self.walls)
+        """Shortest elapsed time, which is least affected by other load, s."""
+        return min(self.wall_times)
 
     @property
     def median(self) -> float:
-        return statistics.median(self.walls)
+        return statistics.median(self.wall_times)
 
     @property
-    def cpu(self) -> float:
-        return min(self.cpus)
+    def cpu_time(self) -> float:
+        return min(self.cpu_times)
 
 
-def interleaved(commands: Mapping[str, Sequence[str]], repeats: int) -> dict[str, Measured]:
-    """Run each command once, then each again, and so on; return what each took.
+def measure_interleaved(
+    commands: Mapping[str, Sequence[str]], n_repeats: int
+) -> dict[str, Measurement]:
+    """Run the commands in rounds, `n_repeats` times each; return their measurements.
 
-    A first round is not counted: it brings files into the system's cache and compiles modules.
+    A first round is not counted: it fills the file cache and compiles modules.
 
     Raises
     ------
     SystemExit
-        A command failed; its message is shown.
+        If a command fails; contains its error output.
     """
-    found: dict[str, list[tuple[float, float, float, str]]] = {name: [] for name in commands}
-    for repeat in range(repeats + 1):
+    runs_by_name: dict[str, list[tuple[float, float, float, str]]] = {name: [] for name in commands}
+    for repeat in range(n_repeats + 1):
         for name, command in commands.items():
-            run = _once(command)
+            run = _run_once(command)
             if repeat:
-                found[name].append(run)
+                runs_by_name[name].append(run)
     return {
-        name: Measured(
+        name: Measurement(
             tuple(wall for wall, _, _, _ in runs),
             tuple(cpu for _, cpu, _, _ in runs),
             max(peak for _, _, peak, _ in runs),
             runs[-1][3],
         )
-        for name, runs in found.items()
+        for name, runs in runs_by_name.items()
     }
 
 
-def measure(command: Sequence[str], repeats: int) -> Measured:
-    """Run one command `repeats` times; as `interleaved`."""
-    return interleaved({"": command}, repeats)[""]
+def measure(command: Sequence[str], n_repeats: int) -> Measurement:
+    """Run one command `n_repeats` times, in addition to an uncounted first time."""
+    return measure_interleaved({"": command}, n_repeats)[""]
 
 
-def _once(command: Sequence[str]) -> tuple[float, float, float, str]:
-    with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
-        begin = time.perf_counter()
-        child = subprocess.Popen(command, stdout=output, stderr=errors, env=_ENVIRONMENT)
-        _, status, usage = os.wait4(child.pid, 0)
-        wall = time.perf_counter() - begin
-        child.returncode = os.waitstatus_to_exitcode(status)
+def _run_once(command: Sequence[str]) -> tuple[float, float, float, str]:
+    with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as error_output:
+        start = time.perf_counter()
+        process = subprocess.Popen(command, stdout=output, stderr=error_output, env=_ENVIRONMENT)
+        _, status, usage = os.wait4(process.pid, 0)
+        wall_time = time.perf_counter() - start
+        process.returncode = os.waitstatus_to_exitcode(status)
         output.seek(0)
-        errors.seek(0)
-        if child.returncode:
-            raise SystemExit(f"{' '.join(command)} failed:\n{errors.read()}")
-        cpu = usage.ru_utime + usage.ru_stime
-        return wall, cpu, usage.ru_maxrss * _PEAK_UNIT, output.read()
+        error_output.seek(0)
+        if process.returncode:
+            raise SystemExit(f"{' '.join(command)} failed:\n{error_output.read()}")
+        cpu_time = usage.ru_utime + usage.ru_stime
+        return wall_time, cpu_time, usage.ru_maxrss * _MEGABYTES_PER_MAXRSS, output.read()

@@ -1,11 +1,10 @@
-"""Studies: trials of the paper's plan and of the example, against other ways.
+"""Time studies of the paper's plan and of the example, and compare them with other methods.
 
     python benchmarks/study.py          # small
-    python benchmarks/study.py --full   # the sizes of the targets, and the figure
+    python benchmarks/study.py --full   # full sizes, to which the targets apply
 
-What is timed within a process is done by `study_jobs.py`, so that this one stays small: see
-`process`. A Python that has suncal may be named in the environment as SUNCAL_PYTHON; see
-`peer_suncal.py`.
+`study_jobs.py` does the work in a separate process, so that this one stays small (see `process`).
+The environment variable SUNCAL_PYTHON may name a Python that has suncal (see `peer_suncal.py`).
 """
 
 from __future__ import annotations
@@ -20,62 +19,65 @@ from pathlib import Path
 from typing import Any
 
 from process import PYTHON
-from table import Cell, Table, script
+from table import Cell, Table, run_script
 
 HERE = Path(__file__).parent
 MILLION = 1e6
 
 
 def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
-    """Time trials by each way."""
+    """Return the tables of the trials."""
     repeats = repeats or (7 if full else 3)
     command = [*PYTHON, str(HERE / "study_jobs.py"), "--repeats", str(repeats)]
-    done = subprocess.run(
+    process = subprocess.run(
         [*command, *(["--full"] if full else [])], check=True, stdout=subprocess.PIPE, text=True
     )
-    found = json.loads(done.stdout)
+    timings = json.loads(process.stdout)
     return [
-        _paper(found, full),
-        _examples(found["examples"]),
+        _tabulate_paper(timings, full),
+        _tabulate_examples(timings["examples"]),
         Table(
             "Cost against trials",
             "Times are for one method within a single process, and are the fastest of three "
             "repetitions.",
             ["method", "trials", "seconds"],
-            [[row["way"], row["trials"], row["seconds"]] for row in found["against trials"]],
+            [[row["method"], row["trials"], row["seconds"]] for row in timings["against trials"]],
         ),
     ]
 
 
-def _paper(found: dict[str, Any], full: bool) -> Table:
-    paper = found["paper"]
-    a_million = {
-        way: [MILLION / paper["sizes"][way] * seconds for seconds in taken]
-        for way, taken in paper["times"].items()
+def _tabulate_paper(timings: dict[str, Any], full: bool) -> Table:
+    paper = timings["paper"]
+    seconds_per_million = {
+        method: [MILLION / paper["sizes"][method] * seconds for seconds in times]
+        for method, times in paper["times"].items()
     }
-    ours = a_million["given"][0]
+    reference_time = seconds_per_million["stated sigma"][0]
     sizes = paper["sizes"]
 
-    def row(name: str, way: str, target: Cell, ratio: Cell) -> list[Cell]:
-        wall, cpu = a_million[way]
-        note = "" if sizes[way] == MILLION else f", scaled from {sizes[way]:.0e} analyses"
-        return [name + note, wall, cpu, target, None if way == "given" else wall / ours, ratio]
+    def make_row(label: str, method: str, target: Cell, target_ratio: Cell) -> list[Cell]:
+        wall, cpu = seconds_per_million[method]
+        remark = "" if sizes[method] == MILLION else f", scaled from {sizes[method]:.0e} analyses"
+        ratio = None if method == "stated sigma" else wall / reference_time
+        return [label + remark, wall, cpu, target, ratio, target_ratio]
 
     rows = [
-        row("counterspin study", "given", 0.25, None),
-        row("counterspin study, sigma estimated from the residuals", "residuals", None, None),
-        row("NumPy, all readings, chunks in cache", "brute force", None, 8.0),
-        row("loop of numpy.linalg.lstsq", "lstsq", None, 100.0),
-        row("uncertainties package, one analysis at a time", "uncertainties", None, None),
+        make_row("counterspin study", "stated sigma", 0.25, None),
+        make_row(
+            "counterspin study, sigma estimated from the residuals", "estimated sigma", None, None
+        ),
+        make_row("NumPy, all readings, chunks in cache", "brute force", None, 8.0),
+        make_row("loop of numpy.linalg.lstsq", "lstsq", None, 100.0),
+        make_row("uncertainties package, one analysis at a time", "uncertainties", None, None),
     ]
-    samples = 100_000 if full else 10_000
-    theirs = _suncal(found["linear"], samples, paper["u"])
-    if theirs is None:
+    n_samples = 100_000 if full else 10_000
+    suncal = _run_suncal(timings["linear"], n_samples, paper["u"])
+    if suncal is None:
         remark = "suncal was not installed (SUNCAL_PYTHON), so the table does not contain it"
     else:
-        wall = MILLION / samples * theirs["seconds"]
-        name = f"suncal {theirs['version']}, Monte Carlo, scaled from {samples:.0e} trials"
-        rows.append([name, wall, None, None, wall / ours, None])
+        wall = MILLION / n_samples * suncal["seconds"]
+        name = f"suncal {suncal['version']}, Monte Carlo, scaled from {n_samples:.0e} trials"
+        rows.append([name, wall, None, None, wall / reference_time, None])
         remark = (
             "suncal draws the 300 readings of one analysis; "
             "its time does not include the model and the start"
@@ -99,38 +101,38 @@ def _paper(found: dict[str, Any], full: bool) -> Table:
     )
 
 
-def _suncal(linear: dict[str, Any], samples: int, u: float) -> dict[str, Any] | None:
-    """Return what suncal takes and finds, or None if there is none."""
+def _run_suncal(linear: dict[str, Any], n_samples: int, u: float) -> dict[str, Any] | None:
+    """Return time, u and version of suncal, or None without suncal."""
     python = os.environ.get("SUNCAL_PYTHON")
     if not python:
         return None
-    with tempfile.TemporaryDirectory() as name:
-        file = Path(name) / "linear.json"
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "linear.json"
         file.write_text(json.dumps(linear), encoding="utf-8")
-        command = [python, str(HERE / "peer_suncal.py"), str(file), str(samples)]
-        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-    theirs: dict[str, Any] = json.loads(done.stdout)
+        command = [python, str(HERE / "peer_suncal.py"), str(file), str(n_samples)]
+        process = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    result: dict[str, Any] = json.loads(process.stdout)
     # Five standard errors of a standard deviation.
-    assert abs(theirs["u"] / u - 1.0) < 5.0 / (2.0 * samples) ** 0.5
-    return theirs
+    assert abs(result["u"] / u - 1.0) < 5.0 / (2.0 * n_samples) ** 0.5
+    return result
 
 
-#: Trials of the example -> the longest time that they may take, s.
+#: Trials of the example -> target of their time, s.
 _EXAMPLE_TARGETS = {1000: 5.0, 100_000: 30.0}
 
 
-def _examples(rows: Sequence[dict[str, Any]]) -> Table:
+def _tabulate_examples(rows: Sequence[dict[str, Any]]) -> Table:
     cells: list[list[Cell]] = []
-    before: dict[str, Any] = {}
+    previous: dict[str, Any] = {}
     for row in rows:
-        linear = row["engine"] == "linear"
+        is_linear = row["engine"] == "linear"
         order = None
-        if linear and before.get("records") == row["records"]:
-            order = math.log(row["cpu"] / before["cpu"], row["trials"] / before["trials"])
+        if is_linear and previous.get("records") == row["records"]:
+            order = math.log(row["cpu"] / previous["cpu"], row["trials"] / previous["trials"])
         target = _EXAMPLE_TARGETS.get(row["trials"])
         name = f"{row['records']}, {row['engine']} engine"
         cells.append([name, row["trials"], row["wall"], row["cpu"], target, order])
-        before = row
+        previous = row
     return Table(
         "The study of the example",
         "The first study uses the campaign that `counterspin init` writes, with its three "
@@ -144,4 +146,4 @@ def _examples(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 if __name__ == "__main__":
-    script(__doc__.splitlines()[0], tables)
+    run_script(__doc__.splitlines()[0], tables)

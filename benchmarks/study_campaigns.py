@@ -1,19 +1,19 @@
-"""Timed studies of the paper's plan: noise alone, sigma from residuals, varying rotation."""
+"""Timed studies of the paper's plan: stated sigma, estimated sigma, and varied truth."""
 
 from __future__ import annotations
 
 from importlib.resources import files
 
-PAPER = files("counterspin.reproduction") / "paper.toml"
+PAPER_FILE = files("counterspin.reproduction") / "paper.toml"
 
-GIVEN = """
+STATED_SIGMA = """
 [study]
 [study.analyses.exact]
 method = "two-stage"
 considered = []
 """
-RESIDUALS = GIVEN + 'sigma = "residuals"\n'
-VARYING = """
+ESTIMATED_SIGMA = STATED_SIGMA + 'sigma = "residuals"\n'
+VARIED_TRUTH = """
 [study]
 [study.vary]
 K_F = { normal = "0.004 ± 2e-6 g" }
@@ -30,8 +30,8 @@ method = "two-stage"
 """
 
 
-def campaign_of(text: str) -> str:
-    """Return the paper's plan with a study."""
-    paper = PAPER.read_text(encoding="utf-8")
-    # The peers' second stage knows no scale factor that is uncertain.
-    return (paper if text == VARYING else paper.replace("± 5e-6 g/g", "± 0 g/g")) + text
+def describe_study(study: str) -> str:
+    """Return the description of a study of the paper's plan."""
+    paper = PAPER_FILE.read_text(encoding="utf-8")
+    # The second stage of the peers has no uncertain scale factor.
+    return (paper if study == VARIED_TRUTH else paper.replace("± 5e-6 g/g", "± 0 g/g")) + study

@@ -1,12 +1,12 @@
-"""A study's trials as they are done without this package's shortcuts.
+"""Trials of a study without the sufficient statistics of this package.
 
-- `Plan`: the paper's plan as numbers
-- `brute_force`: every reading of every trial drawn, all trials of a chunk at once
-- `one_by_one`: the same, a trial at a time with `numpy.linalg.lstsq`
-- `with_uncertainties`: one analysis carried through the `uncertainties` package
+- `Plan`: numbers of the paper's plan
+- `fit_chunks`: draw every reading of every trial; analyse the trials in chunks
+- `fit_with_lstsq`: draw and analyse one trial at a time with `numpy.linalg.lstsq`
+- `propagate_uncertainties`: analyse one trial at a time with the `uncertainties` package
 
-The peers get from the package what is no part of the comparison: times of the strobes, the
-readings without noise, what is known beforehand.
+The peers obtain from the package what is not part of the comparison: strobe times, noiseless
+readings and priors.
 """
 
 from __future__ import annotations
@@ -17,114 +17,116 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Trials worked on at once: readings of a run then fit a core's cache.
-CHUNK = 1024
+#: Trials in a chunk, so that the readings of a run fit into the cache of a core.
+CHUNK_SIZE = 1024
 
-FACTORS = (1.0, 1.96, 2.5758)
+COVERAGE_FACTORS = (1.0, 1.96, 2.5758)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Three runs of 100 strobes, and a second stage for K_II and K_F.
+    """Plan of three runs of 100 strobes, with a second stage for K_II and K_F.
 
     Attributes
     ----------
     times, readings
-        Of each run: strobe times in s, displacement errors without noise in m.
+        By run: strobe times in s, and noiseless displacement errors in m.
     sigma
-        Noise of a reading, m.
-    columns
+        Standard deviation of a reading, m.
+    curvature_columns
         b2 per unit of K_II and K_F, shape (2, runs).
-    known
-        b2 of what is known beforehand, shape (runs,).
+    known_curvatures
+        b2 of the known scale factor, shape (runs,).
     prior
-        K_F and its standard uncertainty.
+        Value of K_F and its standard uncertainty.
     truth
-        K_II.
+        True K_II.
     """
 
     times: Sequence[np.ndarray]
     readings: Sequence[np.ndarray]
     sigma: float
-    columns: np.ndarray
-    known: np.ndarray
+    curvature_columns: np.ndarray
+    known_curvatures: np.ndarray
     prior: tuple[float, float]
     truth: float
 
-    def first_stage(self) -> list[np.ndarray]:
-        """Return of each run what the readings are multiplied with for b2."""
+    def first_stage_gains(self) -> list[np.ndarray]:
+        """Return the factors of the readings in b2, by run."""
         return [np.linalg.pinv(np.vander(t, 3, increasing=True))[2] for t in self.times]
 
-    def second_stage(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the runs' b2 and K_F's prior are multiplied with, (2, runs + 1); and u."""
-        gains = self.first_stage()
+    def second_stage_gains(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the factors of b2 and of the prior of K_F, shape (2, runs + 1), and u."""
+        gains = self.first_stage_gains()
         sigma_b2 = [self.sigma * math.sqrt(float(g @ g)) for g in gains]
         weights = 1.0 / np.array([*sigma_b2, self.prior[1]])
-        rows = np.vstack([self.columns.T, [0.0, 1.0]]) * weights[:, None]
+        rows = np.vstack([self.curvature_columns.T, [0.0, 1.0]]) * weights[:, None]
         covariance = np.linalg.inv(rows.T @ rows)
         return covariance @ rows.T * weights, np.sqrt(np.diag(covariance))
 
-    def readings_to_k_ii(self) -> list[np.ndarray]:
-        """Return of each run what the readings are multiplied with for K_II."""
-        solve, _ = self.second_stage()
-        return [w * g for w, g in zip(solve[0], self.first_stage(), strict=False)]
+    def k_ii_weights(self) -> list[np.ndarray]:
+        """Return the factors of the readings in K_II, by run."""
+        second_gains, _ = self.second_stage_gains()
+        return [w * g for w, g in zip(second_gains[0], self.first_stage_gains(), strict=False)]
 
 
-def brute_force(plan: Plan, trials: int, seed: int = 1) -> tuple[float, float, np.ndarray]:
-    """Return mean and standard deviation of K_II, and how many intervals held the truth."""
-    generator = np.random.Generator(np.random.SFC64(seed))
-    gains, (solve, u) = plan.first_stage(), plan.second_stage()
-    fixed = solve[0, -1] * plan.prior[0] - solve[0, :-1] @ plan.known
-    buffers = [np.empty((CHUNK, t.size)) for t in plan.times]
-    total, squares, covered = 0.0, 0.0, np.zeros(len(FACTORS))
-    for start in range(0, trials, CHUNK):
-        n = min(CHUNK, trials - start)
-        k_ii = np.full(n, fixed)
+def fit_chunks(plan: Plan, n_trials: int, seed: int = 1) -> tuple[float, float, np.ndarray]:
+    """Return mean and standard deviation of K_II, and the number of intervals with the truth."""
+    rng = np.random.Generator(np.random.SFC64(seed))
+    gains, (solution_matrix, u) = plan.first_stage_gains(), plan.second_stage_gains()
+    prior_term = (
+        solution_matrix[0, -1] * plan.prior[0] - solution_matrix[0, :-1] @ plan.known_curvatures
+    )
+    buffers = [np.empty((CHUNK_SIZE, t.size)) for t in plan.times]
+    error_sum, square_sum, n_covered = 0.0, 0.0, np.zeros(len(COVERAGE_FACTORS))
+    for start in range(0, n_trials, CHUNK_SIZE):
+        n = min(CHUNK_SIZE, n_trials - start)
+        k_ii = np.full(n, prior_term)
         for run, buffer in enumerate(buffers):
-            part = buffer[:n]
-            generator.standard_normal(out=part)
-            part *= plan.sigma
-            part += plan.readings[run]
-            k_ii += solve[0, run] * (part @ gains[run])
-        error = k_ii - plan.truth
-        total += float(error.sum())
-        squares += float(error @ error)
-        size = np.abs(error) / u[0]
-        covered += [np.count_nonzero(size <= factor) for factor in FACTORS]
-    mean = total / trials
-    return mean + plan.truth, math.sqrt(squares / trials - mean**2), covered
+            readings = buffer[:n]
+            rng.standard_normal(out=readings)
+            readings *= plan.sigma
+            readings += plan.readings[run]
+            k_ii += solution_matrix[0, run] * (readings @ gains[run])
+        errors = k_ii - plan.truth
+        error_sum += float(errors.sum())
+        square_sum += float(errors @ errors)
+        normalised_errors = np.abs(errors) / u[0]
+        n_covered += [np.count_nonzero(normalised_errors <= factor) for factor in COVERAGE_FACTORS]
+    mean = error_sum / n_trials
+    return mean + plan.truth, math.sqrt(square_sum / n_trials - mean**2), n_covered
 
 
-def one_by_one(plan: Plan, trials: int, seed: int = 1) -> tuple[float, float]:
+def fit_with_lstsq(plan: Plan, n_trials: int, seed: int = 1) -> tuple[float, float]:
     """Return mean and standard deviation of K_II."""
-    generator = np.random.default_rng(seed)
-    designs = [np.vander(t, 3, increasing=True) for t in plan.times]
-    gains = plan.first_stage()
+    rng = np.random.default_rng(seed)
+    vandermondes = [np.vander(t, 3, increasing=True) for t in plan.times]
+    gains = plan.first_stage_gains()
     weights = [1.0 / (plan.sigma * math.sqrt(float(g @ g))) for g in gains]
     weights.append(1.0 / plan.prior[1])
-    rows = np.vstack([plan.columns.T, [0.0, 1.0]]) * np.array(weights)[:, None]
-    found = np.empty(trials)
-    for trial in range(trials):
+    rows = np.vstack([plan.curvature_columns.T, [0.0, 1.0]]) * np.array(weights)[:, None]
+    estimates = np.empty(n_trials)
+    for trial in range(n_trials):
         b2 = []
-        for design, clean in zip(designs, plan.readings, strict=True):
-            readings = clean + plan.sigma * generator.standard_normal(clean.size)
+        for design, noiseless in zip(vandermondes, plan.readings, strict=True):
+            readings = noiseless + plan.sigma * rng.standard_normal(noiseless.size)
             b2.append(np.linalg.lstsq(design, readings, rcond=None)[0][2])
-        right = np.append(np.array(b2) - plan.known, plan.prior[0]) * weights
-        found[trial] = np.linalg.lstsq(rows, right, rcond=None)[0][0]
-    return float(found.mean()), float(found.std())
+        observations = np.append(np.array(b2) - plan.known_curvatures, plan.prior[0]) * weights
+        estimates[trial] = np.linalg.lstsq(rows, observations, rcond=None)[0][0]
+    return float(estimates.mean()), float(estimates.std())
 
 
-def with_uncertainties(plan: Plan, trials: int, seed: int = 1) -> float:
-    """Return the u(K_II) that the `uncertainties` package propagates; each trial an analysis."""
+def propagate_uncertainties(plan: Plan, n_trials: int, seed: int = 1) -> float:
+    """Return u(K_II) of the last of `n_trials` analyses with the `uncertainties` package."""
     from uncertainties import ufloat
 
-    generator = np.random.default_rng(seed)
-    gains, (solve, _) = plan.first_stage(), plan.second_stage()
+    rng = np.random.default_rng(seed)
+    gains, (solution_matrix, _) = plan.first_stage_gains(), plan.second_stage_gains()
     k_ii = ufloat(*plan.prior)
-    for _ in range(trials):
-        k_ii = solve[0, -1] * ufloat(*plan.prior)
-        for run, clean in enumerate(plan.readings):
-            drawn = clean + plan.sigma * generator.standard_normal(clean.size)
-            readings = np.array([ufloat(value, plan.sigma) for value in drawn])
-            k_ii += solve[0, run] * (gains[run] @ readings - plan.known[run])
+    for _ in range(n_trials):
+        k_ii = solution_matrix[0, -1] * ufloat(*plan.prior)
+        for run, noiseless in enumerate(plan.readings):
+            values = noiseless + plan.sigma * rng.standard_normal(noiseless.size)
+            readings = np.array([ufloat(value, plan.sigma) for value in values])
+            k_ii += solution_matrix[0, run] * (gains[run] @ readings - plan.known_curvatures[run])
     return float(k_ii.std_dev)
