@@ -146,3 +146,49 @@ def test_files_with_different_columns_raise():
     other = guess_file(seen("b.csv", t=TIME, angle=RATE * TIME, x=signal()))
     with raises("missing-column", "b.csv", "'east_m'", "a.csv"):
         merge_guesses([file, other])
+
+
+def damage(kind, time, angle, east, north):
+    """Return the rows after a fault of a recorder."""
+    rows = np.arange(time.size)
+    if kind == "lost rows":
+        keep = rows % 53 != 7
+    elif kind == "gap":
+        keep = (time < 8.0) | (time > 11.3)
+    elif kind == "repeated rows":
+        rows = np.sort(np.concatenate([rows, rows[::37]]))
+        return tuple(values[rows] for values in (time, angle, east, north))
+    elif kind == "held values":
+        held = rows - np.where(rows % 100 < 3, rows % 100, 0)
+        return time, angle[held], east[held], north[held]
+    else:
+        return time, angle + 0.1 * (rows % 71 == 5), east, north
+    return tuple(values[keep] for values in (time, angle, east, north))
+
+
+@pytest.mark.parametrize("wrap", [None, 2 * np.pi])
+@pytest.mark.parametrize("kind", ["lost rows", "gap", "repeated rows", "held values", "outliers"])
+def test_angle_with_faulty_rows_keeps_unit_rate_and_phase(kind, wrap):
+    time, angle, east, north = damage(kind, TIME, RATE * TIME, signal(), signal(phase=-np.pi / 2))
+    angle = angle if wrap is None else angle % wrap
+    guess = guess_file(seen(time_s=time, angle_rad=angle, east_m=east, north_m=north))
+    assert guess.time.column == "time_s"
+    assert guess.angle is not None
+    assert guess.angle.unit == "rad"
+    assert guess.rate == pytest.approx(RATE, rel=1e-3)
+    assert [s.phase for s in guess.signals] == pytest.approx([0.0, -np.pi / 2], abs=0.03)
+
+
+def test_lost_rows_without_gap_in_time_leave_unit_of_angle():
+    """The rows are numbered without a gap, so the signals suggest 6.1 rad per revolution."""
+    kept = np.delete(np.arange(TIME.size), slice(700, 737))
+    count = kept.size
+    guess = guess_file(
+        seen(
+            time_s=TIME[:count],
+            angle_rad=(RATE * TIME)[kept],
+            east_m=signal()[kept],
+            north_m=signal(phase=-np.pi / 2)[kept],
+        )
+    )
+    assert (guess.angle.unit, guess.angle.per_revolution) == ("rad", None)

@@ -524,6 +524,9 @@ def _guess_angle(
         ):
             return AngleGuess(column.name, name), unwrapped * 2.0 * np.pi / revolution
     counts = round_counts(period)
+    if counts is None and unit not in (None, "count"):
+        # Lost rows without a gap in the time change the period of the signals.
+        return AngleGuess(column.name, unit), unwrapped * unit_factor(unit, "rad")
     guess = AngleGuess(column.name, "count", counts, period=period)
     return guess, unwrapped * 2.0 * np.pi / (counts or period)
 

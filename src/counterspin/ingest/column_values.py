@@ -21,6 +21,8 @@ _TEMPERATURE_NAME: Final = re.compile(r"(?i)(.*[^a-z])?temp(erature?|eratur)?([^
 _TEMPERATURE_RANGES: Final = {"degC": (-60.0, 150.0), "K": (210.0, 425.0)}
 #: Tolerance of even time steps, relative to the median step.
 _STEP_TOLERANCE: Final = 0.5
+#: Relative tolerance of the rate at which an angle advances across a gap.
+_RATE_TOLERANCE: Final = 0.01
 
 
 def temperature_scale(column: FileColumn) -> str | None:
@@ -72,26 +74,41 @@ def is_row_counter(column: FileColumn) -> bool:
 
 
 def unwrap_values(values: Array, time: Array) -> tuple[Array, float | None] | None:
-    """Return unwrapped values and their period (None: not wrapped); None if they do not advance."""
-    is_valid = np.isfinite(values) & np.isfinite(time)
-    if is_valid.sum() < max(16, 0.8 * len(values)):
+    """Return unwrapped values and their period (None: not wrapped); None if they do not advance.
+
+    Outliers and repeated values become NaN. Lost and repeated rows are recognised by the time.
+    """
+    rows = np.flatnonzero(np.isfinite(values) & np.isfinite(time))
+    if rows.size < max(16, 0.8 * len(values)):
         return None
-    steps = np.diff(values[is_valid])
+    steps = np.diff(values[rows])
     median_step = float(np.median(steps))
     scatter = float(np.median(np.abs(steps - median_step)))
     if median_step == 0.0 or scatter > 0.3 * abs(median_step):
         return None
-    is_jump = np.abs(steps - median_step) > 0.9 * abs(median_step) + 10.0 * scatter
+    tolerance = 0.9 * abs(median_step) + 10.0 * scatter
+    is_jump = np.abs(steps - median_step) > tolerance
+    is_pair = np.abs(steps[:-1] + steps[1:] - 2.0 * median_step) <= tolerance
+    is_dropped = np.concatenate([[False], steps == 0.0])
+    is_dropped[1:-1] |= is_jump[:-1] & is_jump[1:] & is_pair  # outliers
+    rows = rows[~is_dropped]
+    steps, durations = np.diff(values[rows]), np.diff(time[rows])
+    expected_steps = np.full(steps.size, median_step)
+    if has_even_steps(time):
+        expected_steps *= durations / np.median(durations)
+    # A wrap is a jump against the motion, by one period or, across a gap, by several.
+    jumps = (expected_steps - steps) * np.sign(median_step)
+    is_wrap = jumps > tolerance + _RATE_TOLERANCE * np.abs(expected_steps)
     period = None
     unwrapped = np.full(len(values), np.nan)
-    turn_counts = np.zeros(len(steps))
-    if is_jump.any():
-        jumps = median_step - steps[is_jump]
-        period = abs(float(np.median(jumps)))
-        if is_jump.mean() > 0.4 or not (np.abs(np.abs(jumps) - period) < 0.1 * period).mean() > 0.9:
+    turn_counts = np.zeros(steps.size)
+    if is_wrap.any():
+        turns = jumps[is_wrap] / float(np.median(jumps[is_wrap]))
+        if is_wrap.mean() > 0.4 or not (np.abs(turns - np.round(turns)) < 0.1).mean() > 0.9:
             return None
-        turn_counts[is_jump] = np.round(jumps / period)
-    unwrapped[is_valid] = values[is_valid] + (period or 0.0) * np.concatenate(
+        period = float(np.median(jumps[is_wrap]))
+        turn_counts[is_wrap] = np.round(turns) * np.sign(median_step)
+    unwrapped[rows] = values[rows] + (period or 0.0) * np.concatenate(
         [[0.0], np.cumsum(turn_counts)]
     )
     return unwrapped, period
