@@ -51,6 +51,29 @@ def test_blank_lines_after_header_and_at_end_are_ignored(tmp_path):
     assert "line 501: column 'angle_rad' " in message
 
 
+@pytest.mark.parametrize("end", ["\n\n", "\r\n\r\n", "\r\r\n", "\n \n"])
+def test_blank_line_after_every_row_is_ignored(tmp_path, end):
+    """Python's csv module writes such files on Windows without newline=""."""
+    columns = simulate_columns()
+    text = format_lines(columns)
+    path = tmp_path / "run.csv"
+    path.write_bytes((end.join(text) + end).encode())
+    record = read_written_record(path)
+    np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])
+    text[3] = text[3].replace(",", ",x", 1)
+    path.write_bytes((end.join(text) + end).encode())
+    message = read_error_message(path)
+    assert f"line {4 if end.count(chr(10)) == 1 else 7}:" in message
+
+
+@pytest.mark.parametrize("cell", ["None", "*****", "************"])
+def test_cell_without_a_value_is_empty(tmp_path, cell):
+    text = format_lines(simulate_columns())
+    text[50] = text[50].rpartition(",")[0] + f",{cell}"
+    record = read_written_record(write_record(tmp_path / "run.csv", text))
+    assert record.report.empty == {TIME: 0, ANGLE: 0, SIGNAL: 1}
+
+
 def test_space_delimited_file_keeps_line_numbers(tmp_path):
     text = [line.replace(",", "   ") for line in format_lines(simulate_columns())]
     text.insert(5, "# the operator sneezed here")

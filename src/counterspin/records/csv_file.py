@@ -50,6 +50,7 @@ _CHUNK_BYTES = 1 << 20
 _PREVIEW_BYTES = 400
 #: Digits with other characters, as in `10:00 -> 1.5` and `(0.5`.
 _MIXED_CELL = re.compile(r"[([{>=:].*\d|\d.*[)\]}<]")
+_BLANK_LINE = re.compile(rb"(?m)^[ \t\r]*(?=\n)")
 #: Lines of the table body, and bytes at the end of the file, in which a footer is detected.
 _BODY_LINES = 20
 _TAIL_BYTES = 16_384
@@ -218,7 +219,10 @@ class CsvFile(ColumnFile):
         return describe_lines(self._first_lines)
 
     def _transcode(self, dialect: Dialect) -> None:
-        """Convert content in a wide encoding to UTF-8, and CR line ends to LF."""
+        """Convert content in a wide encoding to UTF-8, and other line ends to LF.
+
+        If every row is followed by a blank line, blank lines become comments.
+        """
         self._stream.seek(0)
         first_bytes = self._stream.read(_MAX_LINE_BYTES)
         if dialect.encoding is None:
@@ -241,6 +245,10 @@ class CsvFile(ColumnFile):
             first_bytes = self._content[:_MAX_LINE_BYTES]
         if b"\r" in first_bytes and b"\n" not in first_bytes:
             self._content = self._rows_content().replace(b"\r", b"\n")
+        if b"\r\r\n" in first_bytes:
+            self._content = self._rows_content().replace(b"\r\r\n", b"\n")
+        if len(_BLANK_LINE.findall(first_bytes)) > 0.4 * first_bytes.count(b"\n"):
+            self._content = _BLANK_LINE.sub(b"#", self._rows_content())
 
     def _decode(self, raw_line: bytes) -> str:
         """Decode one of the first lines; detect Latin-1."""

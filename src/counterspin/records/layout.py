@@ -30,8 +30,9 @@ HEAD_LINES: Final = 400
 _PLAIN_ROWS, _MIN_ROWS = 20, 3
 #: Empty cells, in lower case without surrounding blanks, including failed measurements.
 EMPTY_CELL_TEXTS: Final = (
-    *("", "nan", "n/a", "#n/a", "na", "null", "-", "--", "---"),
+    *("", "nan", "n/a", "#n/a", "na", "null", "none", "-", "--", "---"),
     *("ovld", "ovl", "overload", "overflow", "over", "#value!", "#div/0!", "#num!"),
+    *("*" * width for width in range(3, 25)),  # a number too long for a field of Fortran
     *(sign + text for sign in ("", "-") for text in ("1.#qnan", "1.#ind", "1.#inf", "nan(ind)")),
 )
 #: Time of day with an optional date and zone, in ISO 8601 or in notations of spreadsheets and
