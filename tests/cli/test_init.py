@@ -3,6 +3,7 @@
 import io
 import math
 
+import numpy as np
 import pytest
 from exports import EXPORTS, simulate_campaign, write_records
 
@@ -75,6 +76,21 @@ def test_arm_table_to_result(tmp_path, monkeypatch, capsys):
     coefficients = Result.read(tmp_path / "r.json").accelerometers["A"].coefficients
     assert coefficients["K_F"].value == pytest.approx(0.003, abs=1e-4)
     assert coefficients["K_I"].value == pytest.approx(1.0, abs=1e-4)
+
+
+def test_question_names_text_that_hides_an_axis(tmp_path, capsys):
+    """Two axes show the sense of rotation, but one of them contains a word."""
+    time = np.arange(1500) * 0.02
+    rows = [
+        f"{t:.2f},{1.5 * t:.6f},{2.5 * np.cos(1.5 * t):.5f},{2.5 * np.sin(1.5 * t):.5f}"
+        for t in time
+    ]
+    rows[500] = rows[500].rpartition(",")[0] + ",?"
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["time_s,angle_rad,east_m,north_m", *rows]), encoding="utf-8")
+    assert main(["init", str(tmp_path / "a"), "--from", str(path), *PLACE, "--yes"]) == 2
+    stderr = capsys.readouterr().err
+    assert "Not read: run.csv, line 502: column 'north_m' contains the text '?'" in stderr
 
 
 def test_missing_answer_is_requested(tmp_path, plain_folder, monkeypatch, capsys):

@@ -133,6 +133,27 @@ def test_noise_table_is_valid_in_campaign(tmp_path, folder):
     )
 
 
+def test_campaign_of_readings_has_no_columns(tmp_path):
+    (tmp_path / "campaign.toml").write_text(
+        """schema = 1
+[site]
+gravity = "9.8066 m/s^2"
+latitude = "45.75 deg"
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "east"
+[[runs]]
+name = "up"
+motion = "static"
+attitude = "0 deg about north"
+reading = "1.0 ± 1e-6 g"
+""",
+        encoding="utf-8",
+    )
+    with raises("missing-column", "contains only readings", "`columns` and `unit`"):
+        cs.noise(write_record(tmp_path), campaign=tmp_path)
+
+
 def test_campaign_identifies_columns(folder, tmp_path):
     time, values = make_columns(order=2)
     values += 1e-5 * np.random.default_rng(3).standard_normal(time.size)

@@ -144,8 +144,10 @@ def test_invalid_selection_raises(tmp_path):
     for select, message in (("device=Q", "does not contain the value 'Q'"), ("dev=A", "select")):
         with pytest.raises(RecordError, match=message):
             cs.noise(path, select=select)
-    with pytest.raises(CampaignError, match="write COLUMN=VALUE"):
+    with pytest.raises(CampaignError, match=r"write COLUMN=VALUE, such as device=A$"):
         cs.noise(path, select="A")
+    with pytest.raises(CampaignError, match="filter the data frame"):
+        cs.noise({"time_s": [0.0, 1.0], "Qx_g": [1.0, 1.1]}, select="device=A")
 
 
 @pytest.mark.parametrize("labels", [("wrist", "ankle"), ("1", "2"), ("L", "R", "M")])

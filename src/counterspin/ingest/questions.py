@@ -295,6 +295,8 @@ def _make_angle_questions(
     text = "In which sense does the angle increase, as seen from above?"
     if angle is None or angle.pulses:
         text = "In which sense does the centrifuge rotate, as seen from above?"
+    # With both horizontal axes, the signals show the sense.
+    text += "".join(f" Not read: {reason}" for reason in common_guess.contents.unread_reasons)
     yield FileQuestion("sense", text, SENSES[0], SENSES, guess=sense)
 
 

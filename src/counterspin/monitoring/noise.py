@@ -132,6 +132,16 @@ def noise(
                     ["`select`: already stated in [records] of the campaign; omit it"],
                     code="conflicting-keys",
                 )
+            if not any(a.channel.name for a in full_campaign.accelerometers.values()):
+                raise CampaignError(
+                    "noise",
+                    [
+                        "`campaign`: this campaign contains only readings, so it does not "
+                        "describe the columns of a record. Omit `campaign`, and give `columns` "
+                        "and `unit`"
+                    ],
+                    code="missing-column",
+                )
             gravity_value = full_campaign.gravity.value
             signals = _select_signals(static_signals(full_campaign, source), columns)
         else:
@@ -265,12 +275,11 @@ def _guess_signals(
 
 def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents:
     """Return the contents of a record, of one sensor."""
-    if select is not None and not (select.partition("=")[2] and isinstance(source, Path)):
-        problem = (
-            "`select`: write COLUMN=VALUE, such as device=A. `select` applies only to the rows "
-            "of a file; filter a data frame before the call"
-        )
+    if select is not None and not isinstance(source, Path):
+        problem = "`select`: applies only to the rows of a file; filter the data frame instead"
         raise UsageError("noise", [problem])
+    if select is not None and not select.partition("=")[2]:
+        raise UsageError("noise", ["`select`: write COLUMN=VALUE, such as device=A"])
     if isinstance(source, MemoryTable):
         columns = tuple(FileColumn(name, "", values) for name, values in source.columns.items())
         return FileContents(Path(source.name), columns, source.non_numeric_names, "")
