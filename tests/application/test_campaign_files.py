@@ -49,6 +49,14 @@ def test_deleted_campaign_is_in_trash(app, folder, page):
     assert body["trash"] == [{"place": place, "name": "three"}]
 
 
+@pytest.mark.parametrize("name", ["加速度計の校正" * 10, "акселерометр-" * 8, "100 % of a/b%2Fc"])
+def test_campaign_with_long_or_special_name_can_be_restored_from_trash(app, name):
+    copy_campaign(app, "three", name)
+    place = move_to_trash(app, name)["place"]
+    assert list_trash(app) == [{"place": place, "name": name}]
+    assert restore_campaign(app, place)["name"] == name
+
+
 def test_restore_does_not_overwrite_campaign(app, folder):
     before = file_names(folder / "three")
     copy_campaign(app, "three", "lab/first")
@@ -127,6 +135,7 @@ def test_trash_entry_with_path_in_name_is_rejected(app, folder):
         ("three/inside", "is inside three"),
         ("../out", "is not a valid file name in this folder"),
         (".hidden", "is not a valid file name in this folder"),
+        ("x" * 300, "is too long"),
     ],
 )
 def test_copy_and_rename_reject_invalid_destination(app, folder, how, to, message):

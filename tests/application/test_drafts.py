@@ -207,3 +207,10 @@ def test_page_imports_tables_inside_containers(page, tmp_path, name, write, note
     body = page.post("/api/draft", json={"names": [uploaded]}).json()
     assert body["test"] == "poses"
     assert note in " ".join(body["statements"])
+
+
+@pytest.mark.parametrize("endpoint", ["draft", "drafted"])
+def test_draft_without_files_is_refused(page, endpoint):
+    more = {"folder": "new"} if endpoint == "drafted" else {}
+    response = page.post(f"/api/{endpoint}", json={"names": [], **more})
+    assert (response.status_code, response.json()["code"]) == (422, "request-refused")

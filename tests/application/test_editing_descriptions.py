@@ -34,6 +34,12 @@ def test_all_problems_are_reported_at_their_keys(page, folder):
     assert words.startswith("line 1")
 
 
+def test_missing_file_is_named_relative_to_served_folder(page):
+    text = '[readings]\nfile = "gone.csv"\ncolumns = { reading = "mA" }\n'
+    body = page.post("/api/check", json={"file": FILE, "text": text}).json()
+    assert ("readings.file", "three/gone.csv: file not found") in list_problems(body)
+
+
 def test_field_changes_text_and_file_changes_on_save(page, folder):
     seen = page.get("/api/description", params={"name": "three"}).json()
     change = {"path": ["centrifuge", "radius"], "value": "3 m"}

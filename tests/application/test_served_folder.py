@@ -6,6 +6,7 @@ from contextlib import suppress
 from threading import Barrier, Thread
 
 import pytest
+from raising import raises
 
 from counterspin.application import served_folder
 from counterspin.application.served_folder import (
@@ -141,3 +142,12 @@ def test_messages_use_paths_relative_to_folder(inner_folder):
         f"{inner_folder.root}{os.sep}a: wrong; {inner_folder.root}: too"
     )
     assert relative_paths == "a: wrong; this folder: too"
+
+
+def test_removed_root_is_reported_and_not_created_again(inner_folder):
+    inner_folder.root.rename(inner_folder.root.with_name("elsewhere"))
+    with raises("not-found", "the folder inside no longer exists"):
+        list(inner_folder.folders())
+    with raises("not-found", "the folder inside no longer exists"):
+        inner_folder.write("a/campaign.toml", "x", "")
+    assert not inner_folder.root.exists()

@@ -9,7 +9,7 @@ from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
-from urllib.parse import quote, unquote
+from urllib.parse import unquote
 
 from counterspin.application.answers import (
     AddedRuns,
@@ -88,7 +88,7 @@ def complete_upload(app: AppState, upload: Upload) -> StoredFile:
 #: Hidden folder for removed campaigns.
 TRASH_FOLDER: Final = ".counterspin-trash"
 
-#: Name of a folder in the trash: time of removal, and former name, percent-encoded.
+#: Name of a folder in the trash: time of removal, and former name, with % and / percent-encoded.
 _TRASH_NAME: Final = re.compile(r"\d{8}T\d{12}-(?P<name>.+)")
 
 
@@ -155,7 +155,9 @@ def discard_uploads(app: AppState, folder: str, names: list[str]) -> TrashPlace:
 def _trash_path(app: AppState, source: Path) -> Path:
     """Return a new path in the trash; its name contains the names of the parent folders."""
     timestamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%f")
-    return app.folder.root / TRASH_FOLDER / f"{timestamp}-{quote(app.folder.name(source), safe='')}"
+    # Encoding other characters, too, would make long names in many scripts too long.
+    name = app.folder.name(source).replace("%", "%25").replace("/", "%2F")
+    return app.folder.root / TRASH_FOLDER / f"{timestamp}-{name}"
 
 
 def list_trash(app: AppState) -> list[TrashEntry]:

@@ -18,6 +18,7 @@ from counterspin.application.answers import (
 )
 from counterspin.application.app_state import AppState, FileCache
 from counterspin.application.commands import import_command
+from counterspin.application.served_folder import RequestError
 from counterspin.arrays import Array, median
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
 from counterspin.campaign.quantity import normalize_latitude, parse_quantity
@@ -69,6 +70,8 @@ _SITE_ENTRIES: Final = {
 def _make_draft(
     app: AppState, names: Sequence[str], answers: dict[str, str] | None, requested_test: Test | None
 ) -> tuple[AnyDraft | UndecidedDraft, Test | None, list[str]]:
+    if not names:
+        raise RequestError("no file was chosen; choose at least one recorder file")
     files = [app.file(name) for name in names]
     given_answers = {key: answer for key, answer in (answers or {}).items() if answer.strip()}
     cache_key = (given_answers.get("sheet", ""), given_answers.get("select", ""))

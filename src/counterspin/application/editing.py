@@ -78,7 +78,7 @@ def parse_campaign_text(app: AppState, file: Path, text: str) -> EditedText:
         document = parse_text(text)
         app.require_inside(file.parent, document)
     except CampaignError as error:
-        return EditedText(text, {}, _split_problems(error.problems))
+        return EditedText(text, {}, _split_problems(error.problems, app))
     problems = Problems(document)
     campaign = resolve_campaign(document, file, problems)
     question_texts = (
@@ -88,8 +88,8 @@ def parse_campaign_text(app: AppState, file: Path, text: str) -> EditedText:
         try:
             parse_study(document, file)
         except CampaignError as error:
-            return EditedText(text, document, _split_problems(error.problems), question_texts)
-    return EditedText(text, document, _split_problems(problems.lines), question_texts)
+            return EditedText(text, document, _split_problems(error.problems, app), question_texts)
+    return EditedText(text, document, _split_problems(problems.lines, app), question_texts)
 
 
 def parse_lab_text(text: str, result: Result) -> EditedText:
@@ -116,7 +116,7 @@ def parse_plan_text(app: AppState, file: Path, text: str) -> EditedText:
         app.require_inside(file.parent, document)
         read_any_plan(document, file)
     except CampaignError as error:
-        return EditedText(text, document, _split_problems(error.problems))
+        return EditedText(text, document, _split_problems(error.problems, app))
     return EditedText(text, document)
 
 
@@ -130,10 +130,16 @@ def parse_text(text: str, source: str = "the text") -> dict[str, Any]:
     return parse_document(content, source)
 
 
-def _split_problems(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Split problems into key and message; the key is empty for the whole document."""
+def _split_problems(
+    problems: Sequence[str], app: AppState | None = None
+) -> tuple[tuple[str, str], ...]:
+    """Split problems into key and message; the key is empty for the whole document.
+
+    app: Its folder, to which paths in the messages are relative; None: no paths.
+    """
     keyed_problems = []
-    for problem in problems:
+    for line in problems:
+        problem = line if app is None else app.folder.relative_paths(line)
         key, colon, message = problem.partition(": ")
         has_key = bool(colon) and " " not in key.split('"')[0]
         keyed_problems.append((key, message) if has_key else ("", problem))

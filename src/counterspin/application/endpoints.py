@@ -85,7 +85,8 @@ def _issue_ticket(
 
 
 def _list_jobs(app: AppState) -> list[JobEntry]:
-    return [job.to_dict() for job in app.jobs.all()]
+    jobs = [job.to_dict() for job in app.jobs.all()]
+    return [{**job, "error": app.folder.relative_paths(job["error"])} for job in jobs]
 
 
 def _stop_job(app: AppState, number: int) -> JobEntry:
@@ -200,7 +201,7 @@ def call_with_error_response(app: AppState, function: Callable[[], T]) -> T | Ap
     except CounterspinError as error:
         return _user_error_response(app, error)
     except Exception as error:  # no traceback for a user
-        return _unexpected_error_response(error)
+        return _unexpected_error_response(app, error)
 
 
 def _user_error_response(app: AppState, error: CounterspinError) -> ApiResponse:
@@ -222,7 +223,7 @@ def _user_error_response(app: AppState, error: CounterspinError) -> ApiResponse:
     return ApiResponse(status, content)
 
 
-def _unexpected_error_response(error: Exception) -> ApiResponse:
+def _unexpected_error_response(app: AppState, error: Exception) -> ApiResponse:
     """Return the response for invalid requests and unexpected errors."""
     match error:
         case ValidationError():
@@ -233,7 +234,8 @@ def _unexpected_error_response(error: Exception) -> ApiResponse:
             text = "The body of the request is not JSON."
             return ApiResponse(400, {"error": text, "code": "invalid-request"})
         case OSError():
-            text = f"The operating system reports: {error.strerror}"
+            name = f"{app.folder.relative_paths(str(error.filename))}: " if error.filename else ""
+            text = f"{name}The operating system reports: {error.strerror or error}"
             return ApiResponse(422, {"error": text, "code": "system-error"})
     text = f"internal error ({type(error).__name__}: {error})"
     return ApiResponse(500, {"error": text, "code": "internal-error"})

@@ -26,6 +26,9 @@ _MAX_FOLDERS: Final = 2000
 #: Largest number of parts of a name; resolving thousands of parts would take too long.
 _MAX_PATH_PARTS: Final = 30
 
+#: Largest length of the name of a file or folder, in bytes of UTF-8.
+_MAX_NAME_BYTES: Final = 255
+
 #: Largest size of a text file in the editor, in bytes.
 TEXT_MAX_BYTES: Final = 1_000_000
 
@@ -93,6 +96,7 @@ class ServedFolder:
 
         name: Name relative to the folder, with slashes; empty: the folder itself.
         """
+        self._require_root()
         parts = PurePosixPath(name).parts
         if len(parts) > _MAX_PATH_PARTS:
             raise PathForbiddenError(f"{name!r} has more than {_MAX_PATH_PARTS} folder levels")
@@ -102,11 +106,28 @@ class ServedFolder:
             or name.startswith("/")
             or any(character in name for character in "\\:\0\n\r")
         ):
-            raise PathForbiddenError(f"{name!r} is not a valid file name in this folder")
+            raise PathForbiddenError(
+                f"{name!r} is not a valid file name in this folder: use a name inside this folder, "
+                "without backslashes, colons and line breaks; no part may begin with a dot, or end "
+                "with a dot or a space"
+            )
+        lengths = [len(part.encode("utf-8", "surrogatepass")) for part in parts]
+        if max(lengths, default=0) > _MAX_NAME_BYTES:
+            raise PathForbiddenError(
+                f"the name {parts[lengths.index(max(lengths))][:20]!r}... is too long "
+                f"({max(lengths)} bytes; at most {_MAX_NAME_BYTES} are possible)"
+            )
         path = self.root.joinpath(*parts)
         if not self.contains(path):
             raise PathForbiddenError(f"{name!r} is outside this folder")
         return path
+
+    def _require_root(self) -> None:
+        if not self.root.is_dir():
+            raise NotFoundError(
+                f"the folder {self.root.name} no longer exists; restore it, or stop the server and "
+                "serve another folder"
+            )
 
     def contains(self, path: Path) -> bool:
         """Return whether a path, with links resolved, is in the folder."""
@@ -145,6 +166,7 @@ class ServedFolder:
 
         Hidden folders and links to folders are not followed.
         """
+        self._require_root()
         for directory, folders, files in islice(os.walk(self.root), _MAX_FOLDERS):
             path = Path(directory)
             is_deepest = len(path.relative_to(self.root).parts) >= _MAX_DEPTH
