@@ -51,6 +51,13 @@ def test_contradicted_result_has_no_interval():
     assert card.note.startswith("The residuals are 8")
 
 
+def test_interval_requires_a_degree_of_freedom():
+    coefficients = {"K_II": make_coefficient(2.7e-5, 1e-9, "g/g^2") | {"dof": 0.1}}
+    card = make_card(coefficients=coefficients)
+    assert card.value == "27.0000 ± 0.0010"
+    assert card.remarks[1:] == ("no 95 % interval: less than one degree of freedom remains",)
+
+
 def test_missing_check_is_open():
     card = make_card(jackknife=[], two_stage=None)
     assert check_outcomes(card) == {"Fit": "passed", "Runs": "open", "Method": "open"}

@@ -41,6 +41,9 @@ _DIRECTIONS: Final = (("east", "west"), ("north", "south"), ("up", "down"))
 _MAX_SHARES: Final = 4
 _MIN_SHARE: Final = 0.005
 
+#: Fewest degrees of freedom for an interval; GUM G.4.1 truncates fewer to 0.
+MIN_INTERVAL_DOF: Final = 1.0
+
 
 def accelerometer_card(
     name: str, accelerometer: AccelerometerResult, paragraphs: Sequence[Paragraph]
@@ -100,6 +103,9 @@ def _interval_remarks(coefficient: Coefficient, state: State) -> Iterator[str]:
         return
     if unit != coefficient.unit:
         yield f"= {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
+    if coefficient.dof is not None and coefficient.dof < MIN_INTERVAL_DOF:
+        yield "no 95 % interval: less than one degree of freedom remains"
+        return
     expanded_u = expanded_uncertainty(u, coefficient.dof)
     yield f"95 % interval: {format_interval(value, u, expanded_u, unit)}"
     yield f"U = {format_uncertainty(expanded_u)} {unit}, k = {format_number(expanded_u / u, 3)}"

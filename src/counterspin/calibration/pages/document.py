@@ -17,7 +17,7 @@ from counterspin.calibration.pages.accelerometer import (
     to_field_units,
 )
 from counterspin.calibration.pages.budget import budget_blocks, interval_blocks
-from counterspin.calibration.pages.card import accelerometer_card
+from counterspin.calibration.pages.card import MIN_INTERVAL_DOF, accelerometer_card
 from counterspin.calibration.pages.methods import model_blocks, origin_blocks
 from counterspin.calibration.pages.pictures import (
     budget_bars,
@@ -182,7 +182,9 @@ def _answer_paragraph(
         text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
     if state == "contradicted":
         return Paragraph(text)
-    if u > 0.0:
+    if coefficient.dof is not None and coefficient.dof < MIN_INTERVAL_DOF:
+        text += "   (no 95 % interval: less than one degree of freedom remains)"
+    elif u > 0.0:
         expanded_u = expanded_uncertainty(u, coefficient.dof)
         interval_text = format_interval(value, u, expanded_u, unit if in_g_units else "")
         has_few_dof = coefficient.dof is not None and coefficient.dof < _MIN_NORMAL_DOF
