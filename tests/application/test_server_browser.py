@@ -17,6 +17,7 @@ from served import PLACES, find_answer_field, read_token
 from signing_keys import write_pair, write_pkcs12
 
 from certificates import write_filled_template
+from counterspin.application.campaign_files import TRASH_FOLDER
 from counterspin.application.server import _write_redirect
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
@@ -250,6 +251,30 @@ def test_table_of_readings_to_result_workflow(open_window, folder, tmp_path):
     assert (folder / "tumble" / "result.json").is_file()
 
 
+def test_corrected_file_can_be_uploaded_under_same_name(open_window, folder):
+    record = {"name": "run.csv", "mimeType": "text/csv"}
+    contents = [(folder / "three" / f"{run}.csv").read_bytes() for run in ("slow", "fast")]
+    tab = open_window()
+    tab.get_by_label("Recorder files").set_input_files([record | {"buffer": b"hello world\n"}])
+    message = tab.get_by_text("no column contains only numbers")
+    message.wait_for()
+    assert "\n" in message.inner_text()
+    # Two files of this name, for example from two folders.
+    files = [record | {"buffer": content} for content in contents]
+    tab.get_by_label("Recorder files").set_input_files(files)
+    tab.get_by_role("heading", name="Columns in run.csv, 2 files").wait_for()
+    tab.get_by_text("Files that you choose now replace the files below.").wait_for()
+    tab.get_by_text("Moved the files of run to the trash.").wait_for()
+    assert sorted(path.name for path in folder.iterdir()) == [TRASH_FOLDER, "run", "three"]
+    assert [(folder / "run" / f"run{n}.csv").read_bytes() for n in ("", "-2")] == contents
+
+
+def test_altered_result_is_reported_on_campaign_page(open_window, folder):
+    result = folder / "three" / "result.json"
+    result.write_text(result.read_text().replace('"three"', '"four"', 1))
+    open_window("/campaign/three").get_by_text("was changed after it was written").wait_for()
+
+
 @pytest.mark.usefixtures("inline_jobs")
 def test_pasted_arm_table_to_result_workflow(open_window, folder):
     rows = ["side\trpm\treading_mA", "oben\t0\t1.2532", "unten\t0\t-1.2468"]
@@ -423,13 +448,15 @@ def test_invalid_goal_is_marked_at_field_and_can_be_corrected(open_window):
     assert goal.get_attribute("aria-invalid") is None
 
 
-def test_phone_has_no_horizontal_scrolling(open_window):
+def test_phone_has_no_horizontal_scrolling(open_window, folder):
+    long_name = "accelerometer" * 12
+    shutil.copytree(folder / "three", folder / long_name)
     tab = open_window()
     tab.set_viewport_size(PHONE)
     width = "document.documentElement.scrollWidth"
-    tab.get_by_role("link", name="three").wait_for()
+    tab.get_by_text(long_name).first.wait_for()
     assert tab.evaluate(width) <= PHONE["width"]
-    tab.get_by_role("link", name="three").click()
+    tab.evaluate(f"location.hash = '#/campaign/{long_name}'")
     tab.get_by_role("heading", name="Quality checks").wait_for()
     assert tab.evaluate(width) <= PHONE["width"]
 

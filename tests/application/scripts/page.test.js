@@ -8,12 +8,12 @@ import {
 } from "./dom.js";
 import { relevantAnswers, checkUntilSettled } from "./confirm.js";
 import { curvePath, arrowTip } from "./curves.js";
-import { normalizeTable, folderName } from "./import.js";
+import { filesByName, folderName, normalizeTable } from "./import.js";
 import { scaledUncertainty, termLabel, uncertaintyText } from "./improving.js";
 import { jobStarter, follow, followRunning, remainingTime } from "./job.js";
 import { chartColumns, stepsCovering, addPoint } from "./live.js";
 import { splitTime } from "./plan.js";
-import { splitQuantity, joinQuantity } from "./quantity.js";
+import { joinQuantity, quantityField, splitQuantity } from "./quantity.js";
 import { discardImport, keepImport, unfinishedImport } from "./unfinished.js";
 
 const KEY = "counterspin-key";
@@ -161,6 +161,24 @@ test("a folder is named by the files' common beginning, and not as another campa
   assert.equal(named(["book.xlsx"]), "book");
   assert.equal(named(["slow.csv", "fast.csv"]), "campaign-2026-03-01");
   assert.equal(named(["book.xlsx"], ["book", "book-2"]), "book-3");
+});
+
+test("files of one name get numbers, and a file that was chosen twice is uploaded once", () => {
+  const file = (/** @type {string} */ name, size = 1, lastModified = 0) => /** @type {any} */ ({ name, size, lastModified });
+  const named = (/** @type {any[]} */ ...files) => [...filesByName(files).keys()];
+  assert.deepEqual(named(file("a.csv"), file("a.csv"), file("b.csv")), ["a.csv", "b.csv"]);
+  assert.deepEqual(named(file("a.1.csv"), file("a.1.csv", 2), file("a.1.csv", 1, 9)), ["a.1.csv", "a.1-2.csv", "a.1-3.csv"]);
+  assert.deepEqual(named(file("log", 1), file("log", 2)), ["log", "log-2"]);
+});
+
+test("a menu offers a detected value that is not among the usual choices", () => {
+  const options = (/** @type {string|null} */ guess) => {
+    const question = { key: "time unit", text: "", example: "s", choices: ["s", "ms"], guess, units: [] };
+    return /** @type {any} */ (quantityField(question, "", "", true, () => {}).control).children.map((/** @type {any} */ option) => option.value);
+  };
+  assert.deepEqual(options("ns"), ["ns", "s", "ms"]);
+  assert.deepEqual(options("ms"), ["s", "ms"]);
+  assert.deepEqual(options(null), ["", "s", "ms"]);
 });
 
 test("a quantity is parted into value, uncertainty and unit, and put together again", () => {

@@ -129,6 +129,7 @@ export async function campaignView(name) {
   /** @type {Node[]} */
   const warnings = [
     ...campaign.mistakes.map(warning),
+    ...campaign.results.filter(({ state }) => state === "damaged").map(({ words }) => warning(words)),
     ...(campaign.missing.length
       ? [warning(`Missing files: ${campaign.missing.join(", ")}`)] : []),
   ];

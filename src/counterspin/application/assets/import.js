@@ -64,7 +64,8 @@ function importPanel(onFiles) {
     make("p", { class: "quiet" }, "One file per run, or a single table of readings: CSV, text, Excel, Parquet, HDF5, MATLAB, TDMS or " +
       "LabVIEW. The files stay on this machine."),
     make("div", { class: "row" }, labelled("Recorder files", files), labelled("Folder for the new campaign (optional)", folder), sample),
-    pastedTable((file) => takeFiles([file])), container);
+    pastedTable((file) => takeFiles([file])),
+    make("p", { class: "quiet note" }, "Files that you choose now replace the files below. Choose the files of all runs together."), container);
   dropZone.addEventListener("dragover", (event) => {
     event.preventDefault();
     dropZone.classList.add("over");
@@ -117,24 +118,45 @@ export const normalizeTable = (text) =>
   `${text.split(/\r\n?|\n/).map((line) => line.trimEnd()).filter(Boolean).join("\n")}\n`;
 
 /**
- * Upload files into a folder; another name is used if a file with other content exists.
+ * The files by name. A file that was chosen twice appears once; other files with the same name get a number.
+ * @param {File[]} files
+ * @returns {Map<string, File>}
+ */
+export function filesByName(files) {
+  const byName = /** @type {Map<string, File>} */ (new Map());
+  for (const file of files) {
+    if ([...byName.values()].some(({ name, size, lastModified }) =>
+      name === file.name && size === file.size && lastModified === file.lastModified)) continue;
+    const [, stem, suffix = ""] = /** @type {RegExpExecArray} */ (/^(.*?)(\.[^.]*)?$/.exec(file.name));
+    let name = file.name;
+    for (let count = 2; byName.has(name); count++) name = `${stem}-${count}${suffix}`;
+    byName.set(name, file);
+  }
+  return byName;
+}
+
+/**
+ * Upload files into a folder. If a file with the same name and other content exists, move the files of the
+ * unfinished import to the trash, or use another folder name.
  * @param {File[]} files
  * @param {string} requestedFolder the folder; empty: suggested
+ * @param {string} importFolder the folder of the unfinished import; empty: none
  * @param {(text: string) => void} showProgress the progress
  * @param {(folder: string, name: string) => void} onUploaded called for each file
  * @returns {Promise<{folder: string, names: string[]}>}
  */
-async function upload(files, requestedFolder, showProgress, onUploaded) {
+async function upload(files, requestedFolder, importFolder, showProgress, onUploaded) {
   const { campaigns } = await get("folder");
   const takenNames = new Set(campaigns.map((/** @type {{name: string}} */ campaign) => campaign.name));
   const date = new Date().toISOString().slice(0, 10);
+  const namedFiles = [...filesByName(files)];
   for (let count = 1; ; count++) {
-    const folder = requestedFolder || folderName(files.map(({ name }) => name), date, takenNames);
+    const folder = requestedFolder || (count <= 2 && importFolder) || folderName(files.map(({ name }) => name), date, takenNames);
     try {
       const names = [];
-      for (const [index, file] of files.entries()) {
-        showProgress(`Uploading ${file.name} (${index + 1} of ${files.length})`);
-        const { name } = await uploadFile(`${folder}/${file.name}`, file);
+      for (const [index, [fileName, file]] of namedFiles.entries()) {
+        showProgress(`Uploading ${fileName} (${index + 1} of ${namedFiles.length})`);
+        const { name } = await uploadFile(`${folder}/${fileName}`, file);
         names.push(name);
         onUploaded(folder, name);
       }
@@ -142,7 +164,8 @@ async function upload(files, requestedFolder, showProgress, onUploaded) {
     } catch (error) {
       const isConflict = error instanceof RequestError && error.status === 422 && error.message.includes("exists");
       if (requestedFolder || !isConflict || count === MAX_FOLDERS) throw error;
-      takenNames.add(folder);
+      if (folder === importFolder && count === 1) await discardImport();
+      else takenNames.add(folder);
     }
   }
 }
@@ -184,7 +207,7 @@ export async function importView() {
     discardButton.hidden = false;
     const initialState = unfinishedImport() ?? { folder: "", names: [], uploaded: [], test: "", answers: {} };
     let state = initialState;
-    const { folder, names } = await upload(files, requestedFolder || initialState.folder, show, (target, name) => {
+    const { folder, names } = await upload(files, requestedFolder, initialState.folder, show, (target, name) => {
       const earlierFiles = target === state.folder ? state.uploaded : [];
       state = { ...initialState, folder: target, names: [], uploaded: [...new Set([...earlierFiles, name])] };
       keepImport(state);

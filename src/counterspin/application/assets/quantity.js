@@ -50,7 +50,8 @@ export function quantityField({ key, choices, example, guess, units = [] }, labe
   const id = `answer-${key}`;
   /** @type {HTMLInputElement|HTMLSelectElement} */
   const control = choices.length
-    ? make("select", { id }, ...(guess === null ? [""] : []).concat(choices).map((value) => make("option", { value }, value || "choose")))
+    // A detected value, such as a unit, need not be one of the usual choices.
+    ? make("select", { id }, ...(guess === null ? [""] : choices.includes(guess) ? [] : [guess]).concat(choices).map((value) => make("option", { value }, value || "choose")))
     : make("input", { id, autocomplete: "off", spellcheck: "false", placeholder: units.length ? "" : example });
   const hint = make("p", { class: "help", id: `${id}-help` }, help || (units.length ? `For example ${example}.` : ""));
   const usualHint = hint.textContent ?? "";

@@ -190,8 +190,8 @@ export async function runsView(name) {
         ? [make("div", { class: "row" }, labelled("Run", select),
           make("button", { type: "button", onclick: check }, "Check this run"),
           make("label", { class: "choice" }, fitCheckbox, "Data and fit, with the bias parabola removed")), checkContainer, container]
-        : [make("p", {}, "No records to show. The records listed in the description appear here when their files exist. " +
-          "Individual readings are listed with the result.")]),
+        : [make("p", {}, "No records to show. The records of rotating runs appear here when their files exist. " +
+          "Records of poses and individual readings are listed with the result.")]),
     ],
   };
 }
