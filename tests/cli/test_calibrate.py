@@ -65,6 +65,12 @@ def test_result_file_is_entered_in_ledger(campaign_folder, capsys):
             "--ledger requires --json FILE, --who NAME and --why REASON",
         ),
         (("--json", "r.json", "--ledger", "l.jsonl"), 2, "--who NAME and --why REASON"),
+        (
+            ("--json", "r.json", "--ledger", "l.jsonl", "--who", " ", "--why", "yearly"),
+            2,
+            "--who NAME and --why REASON",
+        ),
+        ((".", "--details"), 2, "--budget and --details accept a single campaign only"),
         (("--json", "r.json", "--who", "B"), 2, "--who and --why require --ledger FILE"),
         (
             (".", "--json", "r.json", "--ledger", "l.jsonl", *WHO),

@@ -99,12 +99,20 @@ def test_help_lists_files_of_dossier():
     ("words", "message"),
     [
         (["calibrat"], 'Unknown command "calibrat". Did you mean "calibrate"?'),
-        (["calibrate"], "parameter DIRECTORY requires an argument"),
-        (["init"], "parameter DIRECTORY requires an argument"),
-        (["simulate"], "parameter CAMPAIGN requires an argument"),
-        (["study"], "parameter CAMPAIGN requires an argument"),
-        (["simulate", "x"], "parameter --output requires an argument"),
-        (["apply", "r.json"], "parameter FILE requires an argument"),
+        (["calibrate"], "calibrate: DIRECTORY is missing"),
+        (["init"], "init: DIRECTORY is missing"),
+        (["simulate"], "simulate: CAMPAIGN is missing"),
+        (["study"], "study: CAMPAIGN is missing"),
+        (["simulate", "x"], "simulate: --output is missing"),
+        (["apply", "r.json"], "apply: FILE is missing"),
+        (["calibrate", "x", "--json"], "calibrate: --json requires a value\n"),
+        (["applied", "x", "--levels", "-1g"], "--levels requires a value; write --levels=-1g"),
+        (["calibrate", "x", "--json", "a", "--json", "b"], "--json may be given only once"),
+        (["simulate", "x", "-o", "y", "z"], "simulate: unexpected argument: z"),
+        (["study", "x", "--trials", "10.6"], '--trials: "10.6" is not a whole number'),
+        (["study", "x", "--trials", "1.e999"], '--trials: "1.e999" is not a whole number'),
+        (["watch", "x", "--interval", "often"], '--interval: "often" is not a number'),
+        (["calibrate", "x", "--budget=maybe"], '--budget: "maybe" is not true or false'),
         (["calibrate", "x", "--method", "magic"], 'Invalid value "magic" for --method'),
         (["demo", "--figure", "gif"], 'Choose from: "svg", "png", "pdf"'),
         (["demo", "here"], "here"),
@@ -119,6 +127,36 @@ def test_usage_error_has_two_lines(words, message, capsys):
     own = "" if words == ["calibrat"] else f"{words[0]} "
     assert captured.err.endswith(f"\nTry counterspin {own}--help.\n")
     assert captured.err.count("\n") == 2
+
+
+def test_unknown_option_without_command_is_named(capsys):
+    assert cli.main(["--magic"]) == 2
+    assert capsys.readouterr().err == (
+        "counterspin: unknown option: --magic\nTry counterspin --help.\n"
+    )
+
+
+def test_whole_numbers_may_have_exponents(capsys):
+    assert cli.main(["study", "nowhere", "--trials", "1e3", "--seed", "30.0"]) == 2
+    assert capsys.readouterr().err.startswith("counterspin: nowhere: file not found")
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["calibrate", ""], "the arguments of the command"),
+        (["simulate", "x", "-o", ""], "-o"),
+        (["calibrate", "x", "--json="], "--json"),
+        (["compare", "a.json", ""], "the arguments of the command"),
+        (["init", "x", "--from", ""], "--from"),
+    ],
+)
+def test_empty_file_name_is_rejected(words, name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words) == 2
+    message = f"counterspin: {name}: the name of a file or folder is empty\n"
+    assert capsys.readouterr().err == message
+    assert not list(tmp_path.iterdir())
 
 
 def test_missing_campaign_exits_with_2(tmp_path, capsys):

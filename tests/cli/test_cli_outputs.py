@@ -199,6 +199,45 @@ def test_files_are_written_before_output_is_printed(words, name, work_folder, mo
     assert (work_folder / name).exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ["noise", "slow.csv", "--json", "x.html", "--report", "./x.html"],
+            "--report: x.html is also the file of --json",
+        ),
+        (
+            ["noise", "slow.csv", "--report", "x.pdf", "--plot", "x.pdf"],
+            "--plot: x.pdf is also the file of --report",
+        ),
+        (
+            ["compare", "r.json", "r.json", "--report", "x.md", "--json", "x.md"],
+            "--report: x.md is also the file of --json",
+        ),
+        (
+            ["history", "r.json", "--figure", "x.svg", "--json", "x.svg"],
+            "--figure: x.svg is also the file of --json",
+        ),
+        (
+            ["applied", ".", "--figure", "x.pdf", "--certificate", "x.pdf", "--lab", "LAB.toml"],
+            "--certificate: x.pdf is also the file of --figure",
+        ),
+    ],
+)
+def test_outputs_must_be_different_files(words, message, work_folder, capsys):
+    assert cli.main(words) == 2
+    assert capsys.readouterr().err == f"counterspin: {message}\n"
+    assert not list(work_folder.glob("x.*"))
+
+
+def test_ledger_is_unchanged_if_a_result_cannot_be_read(work_folder, capsys):
+    words = ["ledger", "add", "l.jsonl", "r.json", "none.json", "--who", "A. Erste", "--why"]
+    assert cli.main([*words, "yearly"]) == 1
+    assert "none.json: file not found" in capsys.readouterr().err
+    assert cli.main([*words, " "]) == 2
+    assert not (work_folder / "l.jsonl").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["full", "broken"])
 def test_result_is_written_if_output_fails(way, work_folder):

@@ -125,6 +125,12 @@ def test_rejects_results_that_are_not_comparable(given, message):
         cs.intercompare(*given)
 
 
+def test_unknown_coefficient_is_named():
+    for symbol in ("K_II K_I", ""):
+        with pytest.raises(CampaignError, match=f'coefficient "{symbol}" of Qx; '):
+            cs.intercompare(make_result("A", 1e-5), make_result("B", 1e-5), coefficients=[symbol])
+
+
 def test_rejects_coefficient_determined_by_one_result():
     with raises("results-not-comparable", "K_III", "Qx"):
         cs.intercompare(make_result("A", 1e-5), make_result("B", 1e-5), coefficients=["K_III"])

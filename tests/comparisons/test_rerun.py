@@ -127,6 +127,13 @@ def test_frozen_result_is_reproduced():
     }
 
 
+def test_folder_may_be_its_description(campaign_folder, tmp_path):
+    result = campaign_folder / "result.json"
+    assert cs.rerun(result, campaign_folder / "campaign.toml").same
+    with pytest.raises(RecordError, match="nowhere: folder not found"):
+        cs.rerun(result, tmp_path / "nowhere")
+
+
 def test_rerun_uses_stored_options(campaign_folder):
     options = TwoStageOptions(weighted=False)
     cs.calibrate(campaign_folder, method="two-stage", options=options).write(

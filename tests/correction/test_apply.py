@@ -342,6 +342,14 @@ def test_rejects_invalid_arguments(folder, capsys, words, status, message):
     assert sorted(p.name for p in folder.iterdir()) == ["data.csv", "result.json"]
 
 
+def test_only_accelerometer_of_result_needs_no_name(folder):
+    write_table("east,north\n1.0,2.0\n")
+    assert run("result.json", "data.csv", "--input", "east", "-o", "out.csv") == 0
+    words = ["--accelerometer", "Qx", "--input", "east", "-o", "named.csv"]
+    assert run("result.json", "data.csv", *words) == 0
+    assert Path("out.csv").read_bytes() == Path("named.csv").read_bytes()
+
+
 def test_ambiguous_column_requires_input_option(folder, capsys):
     write_table("east,north\n1.0,2.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]

@@ -150,7 +150,7 @@ def test_triad_exports_match_psins_ros_and_kalibr(tmp_path):
     ("given", "name", "options", "message"),
     [
         (make_result(), "a.txt", {}, "must end in one of .csv, .xlsx, .mat"),
-        (make_triad_result(), "a.csv", {"form": "psins"}, "must end in one of .mat"),
+        (make_triad_result(), "a.csv", {"form": "psins"}, "must end in .mat"),
         (make_triad_result(), "a.yaml", {"form": "ros", "normalisation": "ieee"}, "does not apply"),
         (
             make_triad_result(),

@@ -158,6 +158,9 @@ def test_campaign_identifies_columns(folder, tmp_path):
     time, values = make_columns(order=2)
     values += 1e-5 * np.random.default_rng(3).standard_normal(time.size)
     pl.DataFrame({"time_s": time, "east_m": values}).write_csv(tmp_path / "rest.csv")
+    for argument in ({"unit": "g"}, {"sampling_rate": "50 Hz"}, {"gravity": "9.8 m/s^2"}):
+        with pytest.raises(CampaignError, match=f"`{next(iter(argument))}`: already stated in"):
+            cs.noise(tmp_path / "rest.csv", campaign=folder, **argument)
     estimate = cs.noise(tmp_path / "rest.csv", campaign=folder)
     (signal,) = estimate.signals
     assert (signal.name, signal.column, signal.observable) == ("Qx", "east_m", "displacement")
@@ -259,6 +262,8 @@ def test_rejects_unusable_frame(frame, words, message):
         ({"gravity": "9.8 s"}, "gravity"),
         ({"gravity": "50 m/s^2"}, "`gravity`: 50 m/s.2 is not a possible value"),
         ({"gravity": "0 m/s^2"}, "`gravity`: must be greater than zero"),
+        ({"sampling_rate": "0 Hz"}, "`sampling_rate`: must be greater than zero"),
+        ({"sampling_rate": "-5 Hz"}, "`sampling_rate`: must be greater than zero"),
     ],
 )
 def test_rejects_invalid_arguments(words, message):

@@ -107,12 +107,19 @@ def test_unusable_record_does_not_stop_other_runs(folder):
     assert not state.complete
 
 
+def test_invalid_interval_is_rejected(folder, capsys):
+    for interval in ("0", "-1", "nan", "inf"):
+        assert main(["watch", str(folder), "--once", "--interval", interval]) == 2
+        message = "counterspin: watch: --interval: must be greater than 0 s and less than 1e6 s\n"
+        assert capsys.readouterr().err == message
+
+
 def test_goals_are_checked(folder):
     for goal, words in (
         ("K_9 1e-8", '"K_9" is not estimated'),
-        ("K_II much", "goal.target.K_II"),
+        ("K_II much", "^`goal`: K_II: 'much' "),
         ("K_II -1", "greater than zero"),
-        ("K_II 1 m", "goal.target.K_II"),
+        ("K_II 1 m", "^`goal`: K_II: "),
     ):
         with pytest.raises(CampaignError, match=words):
             cs.watch(folder, goals=[goal])

@@ -579,6 +579,19 @@ def test_all_errors_are_reported_at_once(write_starter):
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--sampling-rate", "50 Hz"], "--sampling-rate and --revolutions require --check DIR"),
+        (["--revolutions", "5"], "--sampling-rate and --revolutions require --check DIR"),
+        (["--example", "poses"], "--example requires --init FILE"),
+    ],
+)
+def test_options_without_effect_are_rejected(words, message, tmp_path, capsys):
+    assert cli.main(["plan", str(tmp_path / "none.toml"), *words]) == 2
+    assert capsys.readouterr().err == f"counterspin: plan: {message}\n"
+
+
 def test_missing_file_has_hint(tmp_path, capsys):
     assert cli.main(["plan", str(tmp_path / "none.toml")]) == 2
     stderr = capsys.readouterr().err

@@ -22,7 +22,12 @@ from typing import Any
 from cyclopts import App, CycloptsError, Parameter
 
 from counterspin._version import __version__
-from counterspin.cli.common import print_error, translate_message
+from counterspin.cli.common import (
+    describe_usage_error,
+    print_error,
+    require_file_names,
+    translate_message,
+)
 from counterspin.errors import (
     CampaignError,
     CounterspinError,
@@ -137,6 +142,7 @@ def _run_command(arguments: list[str]) -> int:
         require_thread_count()
         if any("\0" in argument for argument in arguments):
             raise UsageError("the arguments of the command", ["contain a NUL character"])
+        require_file_names(app, arguments)
         if not arguments or arguments[0].startswith("-"):
             app.resolved_commands()  # for the list of commands with their descriptions
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
@@ -146,7 +152,7 @@ def _run_command(arguments: list[str]) -> int:
         print_error(translate_message(str(error), app, arguments))
         return error.exit_status
     except CycloptsError as error:
-        print_error(str(error))
+        print_error(describe_usage_error(error, arguments))
         help_command = " ".join(("counterspin", *(error.command_chain or ()), "--help"))
         print(f"Try {help_command}.", file=sys.stderr)
         return CampaignError.exit_status

@@ -6,7 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from counterspin.cli.certificate import NO_SIGNATURE, SigningOptions
-from counterspin.cli.common import NO_RESULT_FILE, SaveOptions, command, option_group, print_output
+from counterspin.cli.common import (
+    NO_RESULT_FILE,
+    SaveOptions,
+    WholeNumber,
+    command,
+    option_group,
+    print_output,
+    require_distinct_files,
+)
 from counterspin.errors import UsageError
 from counterspin.frozen import frozen
 
@@ -32,8 +40,8 @@ class BudgetOptions:
     """
 
     mounting: str | None = None
-    draws: int = 200_000
-    seed: int = 1
+    draws: WholeNumber = 200_000
+    seed: WholeNumber = 1
     budget: bool = False
 
 
@@ -116,6 +124,12 @@ def applied(
     from counterspin.reports.publication import require_report_format
     from counterspin.reports.text import Report, make_console
 
+    require_distinct_files(
+        json=save_options.json,
+        report=report,
+        figure=figure,
+        certificate=certificate_options.certificate,
+    )
     overwrite = save_options.overwrite
     if report is not None:
         require_report_format(report)

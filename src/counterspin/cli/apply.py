@@ -113,8 +113,8 @@ def apply(
         Output file: the table with two additional columns, the corrected specific force and its
         uncertainty.
     accelerometer
-        Accelerometer to correct. Default: every accelerometer in --others, or all three of a
-        triad if the columns carry their names.
+        Accelerometer to correct. Default: the only accelerometer of the result, every
+        accelerometer in --others, or all three of a triad if the columns carry their names.
     overwrite
         Replace an earlier corrected file; other files are never replaced.
     """

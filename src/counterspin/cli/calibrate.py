@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from counterspin.cli.common import NO_RESULT_FILE, OnOff, SaveOptions, command, option_group
+from counterspin.cli.common import (
+    NO_RESULT_FILE,
+    OnOff,
+    SaveOptions,
+    WholeNumber,
+    command,
+    option_group,
+)
 from counterspin.errors import CounterspinError, CounterspinWarning, UsageError
 from counterspin.frozen import frozen
 
@@ -60,7 +67,7 @@ class EstimationOptions:
     fit_bias: OnOff = True
     sigma: Literal["given", "residuals"] = "given"
     without: Annotated[tuple[str, ...], Parameter(consume_multiple=False)] = ()
-    monte_carlo: int = 0
+    monte_carlo: WholeNumber = 0
 
 
 @option_group
@@ -94,7 +101,7 @@ class BatchWorkers:
         folders.
     """
 
-    workers: int = 1
+    workers: WholeNumber = 1
     cluster: str | None = None
 
     def check_unused(self) -> None:
@@ -138,7 +145,7 @@ class LedgerOptions:
             return
         if n_campaigns > 1:
             raise UsageError("calibrate", ["--ledger accepts the result of a single campaign only"])
-        if json is None or not self.who or not self.why:
+        if json is None or not (self.who or "").strip() or not (self.why or "").strip():
             raise UsageError(
                 "calibrate", ["--ledger requires --json FILE, --who NAME and --why REASON"]
             )
@@ -195,6 +202,8 @@ def calibrate(
         from_residuals=estimation_options.sigma == "residuals",
     )
     ledger_options.check(1 + len(more), save_options.json)
+    if more and (print_options.budget or print_options.details):
+        raise UsageError("calibrate", ["--budget and --details accept a single campaign only"])
     if more and estimation_options.monte_carlo:
         raise UsageError("calibrate", ["--monte-carlo accepts a single campaign only"])
     if more:

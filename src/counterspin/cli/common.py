@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from inspect import cleandoc
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, TextIO, TypeVar
 
-from cyclopts import App, Parameter
+from cyclopts import (
+    App,
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    Parameter,
+    RepeatArgumentError,
+    Token,
+    UnknownCommandError,
+    UnusedCliTokensError,
+)
+from cyclopts.argument import Argument
 
 from counterspin.characters import MultilineText, escape_controls, substitute_unencodable
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, UsageError
 from counterspin.frozen import frozen
 from counterspin.output import FileType, check_writable
 from counterspin.shell import quote_word
@@ -27,6 +38,21 @@ OptionsT = TypeVar("OptionsT")
 OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
 OutputFile = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 JsonFile = Annotated[Path | None, Parameter(name="--json")]
+
+
+def parse_whole_number(_: object, tokens: Sequence[Token]) -> int:
+    """Parse a whole number; the command-line parser itself would round other numbers."""
+    text = tokens[0].value
+    with suppress(ValueError):
+        return int(text)
+    with suppress(ValueError):
+        number = float(text)
+        if number.is_integer():
+            return int(number)
+    raise ValueError(f'"{text}" is not a whole number')
+
+
+WholeNumber = Annotated[int, Parameter(converter=parse_whole_number)]
 
 #: An option that is on or automatic by default, and is turned off by ``--no-...``.
 OnOff = Annotated[bool, Parameter(negative_bool="no-")]
@@ -104,11 +130,21 @@ class SaveOptions:
                 raise write_error
 
 
+def require_distinct_files(**paths: Path | None) -> None:
+    """Raise UsageError if two options, named by their fields, name the same output file."""
+    options: dict[Path, str] = {}
+    for option, path in paths.items():
+        if path is not None and options.setdefault(path.absolute(), option) != option:
+            first_option = options[path.absolute()]
+            raise UsageError(f"`{option}`", [f"{path} is also the file of `{first_option}`"])
+
+
 #: Options without a result file.
 NO_RESULT_FILE: Final = SaveOptions()
 
 #: Function named in a message -> the equivalent command.
 _COMMAND_BY_FUNCTION: Final = {
+    "compare": "counterspin compare",
     "certificates.lab.write_example": "counterspin certificate --init LAB.toml",
     "forecast": "counterspin plan --check DIR",
     "planning.plan.write_example": "counterspin plan --init FILE",
@@ -144,6 +180,72 @@ def _print_encodable(text: str, stream: TextIO | None) -> None:
         print(substitute_unencodable(text, stream.encoding or "utf-8"), file=stream)
 
 
+#: Type of an option -> description of its values.
+_TYPE_DESCRIPTIONS: Final = {float: "a number", bool: "true or false"}
+
+
+def describe_usage_error(error: CycloptsError, arguments: Sequence[str]) -> str:
+    """Return the message of an error that the command-line parser found."""
+    prefix = f"{' '.join(error.command_chain)}: " if error.command_chain else ""
+    message = str(error)
+    match error:
+        case UnknownCommandError() if arguments and arguments[0].startswith("-"):
+            message = f"unknown option: {arguments[0]}"
+        case UnusedCliTokensError(unused_tokens=[*tokens]) if tokens:
+            message = f"{prefix}unexpected argument: {' '.join(map(quote_word, tokens))}"
+        case RepeatArgumentError():
+            message = f"{prefix}{error.token.keyword} may be given only once"
+        case MissingArgumentError(argument=Argument() as argument):
+            position = next((i for i, a in enumerate(arguments) if a in argument.names), None)
+            if position is None:
+                message = f"{prefix}{argument.name} is missing"
+            else:
+                option, *values = arguments[position:]
+                advice = f"; write {option}={quote_word(values[0])}" if values else ""
+                message = f"{prefix}{option} requires a value{advice}"
+        case CoercionError(token=Token(keyword=str() as option) as token, msg=None):
+            types = getattr(error.target_type, "__args__", (error.target_type,))
+            description = next(filter(None, map(_TYPE_DESCRIPTIONS.get, types)), None)
+            if description is not None:
+                message = f'Invalid value for {option}: "{token.value}" is not {description}'
+    return message
+
+
+def require_file_names(app: App, arguments: Sequence[str]) -> None:
+    """Raise UsageError for empty arguments, as from a shell variable that is not set.
+
+    An empty path would be the current folder. Options with other values may be empty.
+    """
+    empty_arguments = [a for a in arguments if not a or (a[:2] == "--" and a[-1] == "=")]
+    if not empty_arguments:
+        return
+    path_options = {
+        name
+        for argument in _find_options(app, arguments).values()
+        if "Path" in str(argument.hint)
+        for name in argument.names
+    }
+    for previous, argument in zip(("", *arguments), arguments, strict=False):
+        option = argument.removesuffix("=") or previous
+        if argument in empty_arguments and (option[:1] != "-" or option in path_options):
+            name = option if option[:1] == "-" else "the arguments of the command"
+            raise UsageError(name, ["the name of a file or folder is empty"])
+
+
+def _find_options(app: App, arguments: Iterable[str]) -> dict[str, Argument]:
+    """Return the options of the command that is called, by the names of their fields."""
+    command_name = next(
+        (candidate for candidate in arguments if candidate[:1] != "-" and candidate in app), None
+    )
+    if command_name is None:
+        return {}
+    return {
+        argument.field_info.name: argument
+        for argument in app[command_name].assemble_argument_collection(parse_docstring=False)
+        if argument.name.startswith("-")
+    }
+
+
 def translate_message(message: str, app: App, arguments: Iterable[str]) -> str:
     """Return a message with Python arguments replaced by options of the command.
 
@@ -159,14 +261,7 @@ def translate_message(message: str, app: App, arguments: Iterable[str]) -> str:
     arguments
         Arguments of the command line, beginning with the command. Unknown names are unchanged.
     """
-    command_name = next(
-        (candidate for candidate in arguments if candidate[:1] != "-" and candidate in app), None
-    )
-    options = {}
-    if command_name is not None:
-        for argument in app[command_name].assemble_argument_collection(parse_docstring=False):
-            if argument.name.startswith("-"):
-                options[argument.field_info.name] = argument
+    options = _find_options(app, arguments)
 
     def to_option(match: re.Match[str]) -> str:
         name, value = match["name"], match["text"]

@@ -51,7 +51,7 @@ def init(
     if from_:
         _import_files(directory, from_, answer or [], test, is_interactive=not yes)
         return
-    if yes or answer:
+    if yes or answer or from_ is not None:
         raise UsageError("init", ["give the recorder files: --from FILE ..."])
     from counterspin.ingest.starter import init as write_starter
 

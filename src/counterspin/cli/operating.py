@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.common import NO_RESULT_FILE, SaveOptions, command, option_group, print_output
+from counterspin.cli.common import (
+    NO_RESULT_FILE,
+    SaveOptions,
+    command,
+    option_group,
+    print_output,
+    require_distinct_files,
+)
 from counterspin.frozen import frozen
 
 
@@ -70,6 +77,7 @@ def operating(
     from counterspin.reports.publication import require_report_format
     from counterspin.reports.text import Report, make_console
 
+    require_distinct_files(json=save_options.json, report=report, figure=figure)
     overwrite = save_options.overwrite
     if report is not None:
         require_report_format(report)

@@ -88,6 +88,10 @@ def plan(
 
     if sum(argument is not None for argument in (file, check, example_options.init)) != 1:
         raise UsageError("plan", ["give a plan file, --check DIR, or --init FILE"])
+    if check is None and (recording_details.sampling_rate or recording_details.revolutions):
+        raise UsageError("plan", ["--sampling-rate and --revolutions require --check DIR"])
+    if example_options.init is None and example_options.example != "records":
+        raise UsageError("plan", ["--example requires --init FILE"])
     if example_options.init is not None:
         example = write_example(example_options.init, example_options.example)
         print_output(f"Wrote {example}. Edit this file, or run the example plan:")

@@ -16,6 +16,7 @@ from counterspin.cli.common import (
     command,
     option_group,
     print_output,
+    require_distinct_files,
 )
 from counterspin.errors import CounterspinError, UsageError
 from counterspin.frozen import frozen
@@ -234,6 +235,7 @@ def noise(
     from counterspin.reports.publication import require_report_format
     from counterspin.reports.text import make_console
 
+    require_distinct_files(json=save_options.json, report=report, plot=plot)
     overwrite = save_options.overwrite
     if report is not None:
         require_report_format(report)

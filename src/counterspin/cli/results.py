@@ -13,6 +13,7 @@ from counterspin.cli.common import (
     SaveOptions,
     command,
     print_output,
+    require_distinct_files,
 )
 from counterspin.errors import CounterspinError, UsageError
 
@@ -137,6 +138,7 @@ def history(
     from counterspin.reports.charts import require_figure_format, save_figure
     from counterspin.reports.text import make_console
 
+    require_distinct_files(json=save_options.json, figure=figure)
     if not paths:
         raise UsageError("history", ["give result files, or folders that contain them"])
     overwrite = save_options.overwrite
@@ -175,6 +177,7 @@ def compare(
     from counterspin.reports.publication import require_report_format
     from counterspin.reports.text import make_console
 
+    require_distinct_files(json=save_options.json, report=report)
     if report is not None:
         require_report_format(report)
         check_writable(
@@ -219,6 +222,7 @@ def intercompare(
     from counterspin.reports.publication import require_report_format
     from counterspin.reports.text import make_console
 
+    require_distinct_files(json=save_options.json, report=report, figure=figure)
     overwrite = save_options.overwrite
     if report is not None:
         require_report_format(report)
@@ -341,13 +345,16 @@ def ledger(
     why
         With add: reason for the entry.
     """
+    from counterspin.calibration.result import Result
     from counterspin.certificates.ledger import ledger_blocks, verify_ledger
     from counterspin.errors import RecordError
     from counterspin.reports.text import Report, make_console
 
     if action == "add":
-        if not results or not who or not why:
+        if not (results and who and who.strip() and why and why.strip()):
             raise UsageError("ledger", ["give RESULT.json, --who NAME and --why REASON"])
+        for result_file in results:
+            Result.read(result_file)  # before the first entry
         for result_file in results:
             add_to_ledger(ledger, result_file, who=who, why=why)
         return

@@ -5,7 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.common import NO_RESULT_FILE, OutputFile, SaveOptions, command, option_group
+from counterspin.cli.common import (
+    NO_RESULT_FILE,
+    OutputFile,
+    SaveOptions,
+    WholeNumber,
+    command,
+    option_group,
+)
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 
@@ -25,8 +32,8 @@ class TrialOptions:
         Engine that computes the trials; auto selects the fastest valid one.
     """
 
-    trials: int | None = None
-    seed: int | None = None
+    trials: WholeNumber | None = None
+    seed: WholeNumber | None = None
     engine: Literal["auto", "linear", "full"] = "auto"
 
 
@@ -43,7 +50,7 @@ class StudyWorkers:
         Address of a Dask scheduler, such as tcp://HOST:8786.
     """
 
-    workers: int = 1
+    workers: WholeNumber = 1
     cluster: str | None = None
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.result import Result
+from counterspin.campaign.validation import suggest_name
 from counterspin.comparisons.compare import is_determined, name_results
 from counterspin.comparisons.consensus import (
     degrees_of_equivalence,
@@ -187,9 +188,19 @@ def _compared_symbols(
 ) -> Iterator[str]:
     """Yield the requested coefficients; by default, those that every result determines."""
     accelerometer_result = next(iter(laboratories.values())).accelerometers[accelerometer]
+    known_symbols = dict.fromkeys(
+        symbol
+        for result in laboratories.values()
+        for symbol in result.accelerometers[accelerometer].coefficients
+    )
     for symbol in (
         accelerometer_result.coefficients if requested_symbols is None else requested_symbols
     ):
+        if symbol not in known_symbols:
+            hint = suggest_name(symbol, known_symbols)
+            raise _comparison_error(
+                f'no result has the coefficient "{symbol}" of {accelerometer}{hint}'
+            )
         n_laboratories = len(_determining_laboratories(accelerometer, symbol, laboratories))
         if requested_symbols is not None and n_laboratories < 2:
             raise _comparison_error(f"fewer than two results determine {symbol} of {accelerometer}")

@@ -172,6 +172,10 @@ def rerun(
     if folder is None and isinstance(result, Result):
         raise RecordError(f"{result_name}: give the campaign folder (`folder`)", code="wrong-usage")
     campaign_folder = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
+    if folder is not None and not campaign_folder.is_dir():
+        if not campaign_folder.exists():
+            raise RecordError(f"{folder}: folder not found", code="file-not-found")
+        campaign_folder = campaign_folder.parent  # the description was given
     if original_result.provenance.in_memory or not original_result.provenance.inputs:
         raise RecordError(
             f"{result_name}: computed from data in memory; only results from campaign files can "

@@ -90,8 +90,9 @@ def apply_file(
     result
         As `apply`.
     accelerometer
-        As `apply`. None: all accelerometers of `options.others`, or of the triad of the result if
-        none is named and the columns have their names; each with two more columns.
+        As `apply`. None: the only accelerometer of the result; all accelerometers of
+        `options.others`; or those of the triad of the result if none is named and the columns have
+        their names, each with two more columns.
     source
         Record file of any format.
     output
@@ -134,6 +135,7 @@ def apply_file(
     check_writable(output, lambda: _FILE_TYPE, overwrite=overwrite)
     options = options or ApplyOptions()
     others: dict[str, Any] = dict(options.others)
+    accelerometer = accelerometer or _only_accelerometer(result, others)
     corrects_all = accelerometer is None
     if accelerometer is None:
         if not others and result.triad is not None:
@@ -212,6 +214,12 @@ def apply_file(
         overwrite=overwrite,
     )
     return summary
+
+
+def _only_accelerometer(result: Result, others: Mapping[str, Any]) -> str | None:
+    """Return the only accelerometer of a result; None if there are several or others are named."""
+    names = list(result.accelerometers)
+    return names[0] if len(names) == 1 and not others else None
 
 
 def _check_units(source: Path, units: Mapping[str, str], stated_unit: str) -> None:

@@ -120,7 +120,9 @@ def export(
     suffixes = {"coefficients": _COEFFICIENT_FILES, "psins": (".mat",)}.get(form, (".yaml", ".yml"))
     if suffix not in suffixes:
         raise CampaignError(
-            str(output), [f"must end in one of {', '.join(suffixes)}"], code="wrong-file-ending"
+            str(output),
+            [f"must end in {'one of ' if len(suffixes) > 1 else ''}{', '.join(suffixes)}"],
+            code="wrong-file-ending",
         )
     if normalisation == "ieee" and form != "coefficients":
         raise UsageError("export", [f"`normalisation` does not apply to the format {form}"])

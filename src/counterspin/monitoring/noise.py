@@ -13,7 +13,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.field_types import check_gravity, parse_exact
+from counterspin.campaign.field_types import check_gravity, check_positive, parse_exact
 from counterspin.campaign.settings import NOISE_UNITS, OBSERVABLES
 from counterspin.campaign.static_noise import static_signals
 from counterspin.errors import CampaignError, RecordError, UsageError, error_code
@@ -120,12 +120,17 @@ def noise(
     with single_blas_thread():
         if campaign is not None:
             full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
-            if gravity is not None:
-                raise CampaignError(
-                    "noise",
-                    ["`gravity`: already stated in the campaign; omit it"],
-                    code="conflicting-keys",
-                )
+            for argument_name, value in (
+                ("gravity", gravity),
+                ("unit", unit),
+                ("sampling_rate", sampling_rate),
+            ):
+                if value is not None:
+                    raise CampaignError(
+                        "noise",
+                        [f"`{argument_name}`: already stated in the campaign; omit it"],
+                        code="conflicting-keys",
+                    )
             if select is not None:
                 raise CampaignError(
                     "noise",
@@ -198,6 +203,7 @@ def _guess_signals(
     select: str | None,
 ) -> tuple[list[StaticSignal], list[str]]:
     """Return the signals identified by column names and units, and the names of other columns."""
+    stated_rate = _parse_quantity("sampling_rate", sampling_rate, "Hz", check_positive)
     answers = {} if sampling_rate is None else {"sampling_rate": sampling_rate}
     contents = _read_source(source, select)
     file_guess = guess_file(contents, answers)
@@ -219,9 +225,7 @@ def _guess_signals(
             f". Not read: {reason.removesuffix('.')}" for reason in contents.unread_reasons
         )
         raise CampaignError("noise", [problem], code="missing-column")
-    row_times = _compute_row_times(
-        source, file_guess, contents.columns, _parse_quantity("sampling_rate", sampling_rate, "Hz")
-    )
+    row_times = _compute_row_times(source, file_guess, contents.columns, stated_rate)
     time_column = file_guess.time.column if file_guess.time else None
     candidates = [c for c in contents.columns if c.name != time_column and not c.is_timestamp]
     signals: list[StaticSignal] = []

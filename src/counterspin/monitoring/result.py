@@ -209,7 +209,7 @@ class NoiseResult(ReportableResult):
     """The noise of a static record."""
 
     BLOCKS: ClassVar[str] = "counterspin.monitoring.page:noise_blocks"
-    KIND: ClassVar[str] = "noise"
+    KIND: ClassVar[str] = "noise analysis"
     REPORT_KIND: ClassVar[str | None] = "a noise report"
 
     record: str  #: Record file.

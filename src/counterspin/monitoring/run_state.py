@@ -24,7 +24,7 @@ from counterspin.campaign.reading import PoseRecord
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.campaign.static_noise import resolve_noise
 from counterspin.campaign.validation import Problems
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, error_code
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE
 from counterspin.inference.joint.estimation import Estimate
@@ -220,7 +220,10 @@ def resolve_goals(
     )
     resolved_goal = resolve_goal(goal_settings, campaign, problems)
     if resolved_goal is None:
-        raise CampaignError("goal", problems.lines)
+        if isinstance(goals, Path):
+            raise CampaignError(str(goals), problems.lines)
+        messages = [problem.removeprefix("goal.target.") for problem in problems.lines]
+        raise CampaignError("`goal`", messages, code=[error_code(p) for p in problems.lines])
     return dict(resolved_goal.sizes)
 
 

@@ -42,16 +42,10 @@ class Pace:
     share: float = 0.02
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.interval < 1e6 and 0.0 < self.share <= 1.0):
-            raise UsageError(
-                "watch",
-                [
-                    (
-                        "the interval must be greater than 0 s, and the share of a core must "
-                        "be between 0 and 1"
-                    )
-                ],
-            )
+        if not 0.0 < self.interval < 1e6:
+            raise UsageError("watch", ["`interval`: must be greater than 0 s and less than 1e6 s"])
+        if not 0.0 < self.share <= 1.0:
+            raise UsageError("watch", ["`share`: must be greater than 0 and at most 1"])
 
 
 _DEFAULT_PACE: Final = Pace()

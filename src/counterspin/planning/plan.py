@@ -236,7 +236,7 @@ def check(
     """
     for argument, value in (("sampling_rate", sampling_rate), ("revolutions", revolutions)):
         if value is not None and not value > 0.0:
-            raise UsageError("forecast", [f"`{argument}`: must be greater than zero"])
+            raise UsageError(f"`{argument}`", ["must be greater than zero"])
     campaign = add_pose_noise(read_campaign(where))
     runs_without_duration = [run for run in campaign.runs if run.duration is None]
     if revolutions is not None:

@@ -28,7 +28,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
-from counterspin.errors import CounterspinError
+from counterspin.errors import CampaignError
 from counterspin.output import check_writable, file_mark, marked_file_type, write_atomically
 from counterspin.reports.blocks import Picture, Plot
 from counterspin.reports.drawing import (
@@ -71,14 +71,12 @@ def check_figures_writable(
 
 
 def require_figure_format(path: Path) -> str:
-    """Return the suffix of a figure's file name; CounterspinError if it is not supported."""
+    """Return the suffix of a figure's file name; CampaignError if it is not supported."""
     suffix = path.suffix.lower()
     if suffix not in _METADATA:
-        raise CounterspinError(
-            (
-                f"{path}: figures cannot have this file type; the name must end in "
-                f"{', '.join(_METADATA)}"
-            ),
+        raise CampaignError(
+            str(path),
+            [f"figures cannot have this file type; the name must end in {', '.join(_METADATA)}"],
             code="wrong-file-ending",
         )
     return suffix
