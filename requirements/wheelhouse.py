@@ -34,7 +34,7 @@ MANYLINUX = {17: "manylinux2014", 12: "manylinux2010", 5: "manylinux1"}
 INSTRUCTIONS = """\
 counterspin {version} and its dependencies for {platform}, Python {python}.
 
-Installation without a network. Run these lines in the folder that holds this file.
+Installation without a network. Run these lines in the folder that contains this file.
 
 Windows (PowerShell):
   py -{python} -m venv venv
@@ -46,7 +46,7 @@ macOS and Linux:
   venv/bin/python -m pip install --no-index --find-links . "counterspin[{extras}]"
   venv/bin/counterspin demo
 
-Upgrade: run the second line of a newer folder, with --upgrade behind "install".
+Upgrade: run the second line of a newer folder, with --upgrade after "install".
 """
 EXTRAS = "application,cluster,excel,signature,tdms"
 

@@ -19,7 +19,7 @@ class TwoStageOptions:
     """Options of the two-stage method."""
 
     model: Literal["exact", "as-printed"] = "exact"  #: ``exact`` or ``as-printed``.
-    #: Whether the second stage weights runs by sigma(b2); the paper does not.
+    #: Whether the second stage weights runs by 1/sigma(b2)^2; the paper does not.
     weighted: bool = True
     #: With the printed equations: whether all runs have the same ripple ``amplitude``, or the
     #: same ``ratio`` of ripple to rate.

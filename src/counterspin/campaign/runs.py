@@ -118,7 +118,7 @@ class PosesSettings(SettingsSection):
     )
     u: Annotated[float, exact_quantity("m/s^2"), AfterValidator(check_positive)] | None = key_field(
         "standard uncertainty of each axis in a pose, excluding the scatter at rest; required "
-        "for nine poses or fewer",
+        "unless there are more poses than requested parameters (nine, or six without angles)",
         "0.01 m/s^2",
         None,
         absent="estimated from the poses",

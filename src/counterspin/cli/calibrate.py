@@ -43,7 +43,7 @@ class EstimationOptions:
     model
         Observation model of the two-stage method: exact, or as printed in the paper.
     weighted
-        Two-stage: weight the runs by sigma(b2). The paper uses equal weights.
+        Two-stage: weight each run by 1/sigma(b2)^2. The paper uses equal weights.
     ripple
         Two-stage as printed: whether the amplitude of the rate ripple is the same at all rates, or
         its ratio to the rate.

@@ -10,7 +10,7 @@ from counterspin.results import ReportableResult, ResultPart, make_frame
 class OperatingQuantity(ResultPart):
     """The result of one operating test."""
 
-    name: str  #: Name of the test, such as ``hysteresis``.
+    name: str  #: Name of the test, such as ``hysteresis-error``.
     value: float | None  #: Value in `unit`; null if the data do not determine it.
     u: float | None  #: Standard uncertainty in `unit`.
     unit: str  #: Unit of the value.
@@ -40,9 +40,9 @@ class OperatingTests(ReportableResult):
     #: Whether the noise was estimated from repeats at the same input; otherwise, from residuals.
     noise_from_repeats: bool
     quantities: list[OperatingQuantity]  #: Results of the tests.
-    time: list[float]  #: Row times, s; empty without a time column.
-    inputs: list[float]  #: Inputs in the order of the file; empty for a warm-up.
-    outputs: list[float]  #: Outputs.
+    time: list[float]  #: Times of the rows, s, at most 2,000; empty without a time column.
+    inputs: list[float]  #: Inputs in the order of the file, at most 2,000; empty for a warm-up.
+    outputs: list[float]  #: Outputs of the same rows.
 
     def quantity(self, name: str) -> OperatingQuantity:
         """Return the result of a test by name."""
