@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 
 import counterspin as cs
 import triads
@@ -231,6 +232,15 @@ def test_few_poses_are_unjudged(tmp_path):
     (finding,) = [f for f in result.findings if f.code == "unjudged-readings"]
     assert finding.subject == "triad"
     assert result.state == "reservations"
+
+
+@pytest.mark.parametrize(("model", "n_poses", "n_unknowns"), [("", 9, 9), ("few", 6, 6)])
+def test_too_few_poses_are_compared_with_number_of_unknowns(tmp_path, model, n_poses, n_unknowns):
+    model = model and 'terms = ["K_F", "K_I"]'
+    description = triads.format_description(model=model)
+    folder = triads.write_pose_campaign(tmp_path, _values(n_poses, 7), description=description)
+    with raises("not-identifiable", f"{n_poses} poses", f"both {n_unknowns} unknowns without"):
+        cs.calibrate(folder)
 
 
 def test_six_faces_report_undetermined_parameters(tmp_path):

@@ -443,7 +443,7 @@ def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> 
 
 def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unknowns) -> str:
     """Return the error message of poses that do not determine their noise."""
-    free_names = [u.name for u in model.unknowns if math.isinf(u.prior[1])]
+    is_free = [math.isinf(u.prior[1]) or u.uses_fallback_prior for u in model.unknowns]
     requested_names = [unknown.name for unknown in model.unknowns if unknown.is_of_interest]
     determined = assess(solution, requested_names).determined
     undetermined_names = [name for name in requested_names if not determined[name]]
@@ -461,7 +461,7 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
     )
     return (
         f"{poses.accelerometer}: {poses.size} pose{'s' * (poses.size > 1)} at unknown attitudes "
-        f"without a stated uncertainty cannot determine both {len(free_names)} unknowns without "
+        f"without a stated uncertainty cannot determine both {sum(is_free)} unknowns without "
         f"a prior and the noise.{undetermined_text} Measure more poses, spread over all "
         f"directions, or state the uncertainty.{suggestion}"
     )
