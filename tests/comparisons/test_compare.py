@@ -295,6 +295,67 @@ def test_different_priors_are_independent():
     assert estimate.u_difference == pytest.approx(math.sqrt(2.0) * 1e-9, rel=1e-12)
 
 
+def change_document(result, serial=None, **details):
+    document = json.loads(result.to_json())
+    document["details"] |= details
+    document["accelerometers"]["Qx"]["serial_number"] = serial
+    return cs.Result.model_validate(document)
+
+
+@pytest.mark.parametrize(
+    ("serials", "laboratories", "shared", "words"),
+    [
+        (("1", "1"), ("A", "A"), ["K_I", "centrifuge.radius"], "values of radius, gravity"),
+        (("1", None), ("A", None), ["K_I", "centrifuge.radius"], "values of radius, gravity"),
+        (("1", "2"), ("A", "A"), ["centrifuge.radius"], "The serial numbers of Qx differ (1 and 2"),
+        (("1", "1"), ("A", "B"), ["K_I"], "The laboratories differ (A and B)"),
+        (("1", "2"), ("A", "B"), [], "The comparison treats all inputs as independent."),
+    ],
+)
+def test_common_sources_need_same_instrument_and_machine(serials, laboratories, shared, words):
+    pair = []
+    for value, serial, name in zip((2.7e-5, 2.7002e-5), serials, laboratories, strict=True):
+        document = json.loads(make_result(value).to_json())
+        line = document["accelerometers"]["Qx"]["budget"]["K_II"][0]
+        radius = line | {"source": "centrifuge.radius", "u": 1e-5, "sensitivity": 6e-5}
+        document["accelerometers"]["Qx"]["budget"]["K_II"].append(radius)
+        result = cs.Result.model_validate(document)
+        details = {} if name is None else {"laboratory": name}
+        pair.append(change_document(result, serial, **details))
+    comparison = cs.compare(*pair)
+    assert comparison.agreements[0].shared == shared
+    assert words in comparison_text(comparison)
+    # Each of the two sources contributes 0.6e-9 to u = 1e-9 of each result.
+    expected = math.sqrt(2.0 * (1e-18 - 0.36e-18 * len(shared)))
+    assert k_ii_estimate(comparison).u_difference == pytest.approx(expected, rel=1e-9)
+    if "2" in serials:
+        assert comparison.changes[0].subject == "serial number of Qx"
+
+
+def test_campaign_serial_number_identifies_unnumbered_instruments():
+    first, second = make_result(), change_document(make_result(2.7002e-5), serial_number="P-2")
+    first = change_document(first, serial_number="P-1")
+    assert cs.compare(first, second).agreements[0].shared == []
+
+
+def test_nominal_output_does_not_appear_as_difference():
+    first, second = make_result(), make_result(2.7e-5 * 1.25 / 1.3)
+    pair = []
+    for result, sensitivity in ((first, 1.25), (second, 1.3)):
+        document = json.loads(result.to_json())
+        document["accelerometers"]["Qx"]["nominal"] = {"unit": "mA", "sensitivity": sensitivity}
+        pair.append(cs.Result.model_validate(document))
+    comparison = cs.compare(*pair, names=["old", "new"])
+    estimate = k_ii_estimate(comparison)
+    assert estimate.difference == pytest.approx(0.0, abs=1e-15)
+    assert estimate.u == pytest.approx(1e-9 * 1.3 / 1.25)
+    assert "1.25 mA/g in old and 1.3 mA/g in new" in comparison_text(comparison)
+    assert comparison.changes[0].model_dump() == {
+        "subject": "output of Qx",
+        "values": ["1.25 mA/g", "1.3 mA/g"],
+    }
+
+
 def test_values_are_converted_to_gravity_of_first_result():
     local_result, remote_result = make_result(), make_result(gravity=9.9)
     comparison = cs.compare(local_result, remote_result)

@@ -9,8 +9,13 @@ from raising import raises
 
 import counterspin as cs
 from counterspin.cli import main
-from counterspin.comparisons.intercomparison_page import intercomparison_plots, reference_sentence
+from counterspin.comparisons.intercomparison_page import (
+    intercomparison_blocks,
+    intercomparison_plots,
+    reference_sentence,
+)
 from counterspin.errors import CampaignError
+from counterspin.reports.blocks import Table
 
 U = 1e-7
 
@@ -83,6 +88,37 @@ def test_values_are_converted_to_gravity_of_first_laboratory():
     (k_ii, _) = cs.intercompare(first, second).references
     # K_II is in g/g^2: proportional to g.
     assert k_ii.degrees["B"].value == pytest.approx(2e-5 * first.inputs.gravity / 9.78)
+
+
+def test_values_are_converted_to_nominal_output_of_first_laboratory():
+    pair = []
+    for name, k_ii, sensitivity in (("A", 2e-5, 1.25), ("B", 2e-5 * 1.25 / 1.3, 1.3)):
+        document = json.loads(make_result(name, k_ii).to_json())
+        nominal = {"unit": "V", "sensitivity": sensitivity}
+        document["accelerometers"]["Qx"]["nominal"] = nominal
+        pair.append(cs.Result.model_validate(document))
+    comparison = cs.intercompare(*pair)
+    assert comparison.references[0].degrees["B"].value == pytest.approx(2e-5)
+    assert "1.25 V/g in A and 1.3 V/g in B" in comparison.assumed[0]
+
+
+def test_difference_has_last_digit_of_its_uncertainty():
+    k_i = {"K_I": by_hand.make_coefficient(1.0, 2.5e-6, "g/g")}
+    pair = []
+    for name, value in (("A", 1.0), ("B", 1.0000004)):
+        coefficients = {"K_I": k_i["K_I"] | {"value": value}}
+        accelerometer = by_hand.make_accelerometer_result(coefficients=coefficients)
+        pair.append(
+            by_hand.make_bare_result(
+                accelerometers={"Qx": accelerometer}, details={"laboratory": name}
+            )
+        )
+    *_, (row,) = [
+        block.rows
+        for block in intercomparison_blocks(cs.intercompare(*pair))
+        if isinstance(block, Table)
+    ]
+    assert row == ("B - A", "0.4e-6", "7.1e-6", "0.06")
 
 
 def test_two_inconsistent_laboratories_have_no_reference_value():

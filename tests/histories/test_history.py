@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from raising import raises
 from results import FROZEN_DOCUMENT as FROZEN_RESULT
-from results import make_dated_document, seal_document
+from results import make_dated_document, make_qx_result, seal_document
 
 from counterspin.calibration.result import Result
 from counterspin.cli import main
@@ -127,6 +127,51 @@ def test_false_alarm_rate_is_as_stated(tmp_path):
         alarms += only_instrument(history([folder])).verdict != "constant"
     # Two tests of 1 % each: at most 2 % expected; more than 7 of 60 has probability below 1e-4.
     assert alarms <= 7
+
+
+def test_values_are_converted_to_latest_nominal_output(tmp_path):
+    documents = {}
+    for date, sensitivity in zip(DATES, (1.25, 1.3, 1.2, 1.25), strict=False):
+        document = make_dated_document(2.7e-5 * 1.25 / sensitivity, date)
+        nominal = {"unit": "mA", "sensitivity": sensitivity}
+        document["accelerometers"]["Qx"]["nominal"] = nominal
+        documents[f"r{date}"] = document
+    histories = history([write_results(tmp_path, **documents)])
+    instrument = only_instrument(histories)
+    assert [point.value for point in instrument.points] == pytest.approx([2.7e-5] * 4)
+    assert instrument.points[1].u == pytest.approx(U * 1.3 / 1.25)
+    assert "differ (1.25 mA/g, 1.3 mA/g, 1.2 mA/g)" in " ".join(histories.notes)
+
+
+@pytest.mark.parametrize(
+    ("values", "laboratories", "shared"),
+    [
+        ((0.0, 0.0), ("A", "A"), ["K_OO", "platform.compliance.zy"]),
+        ((1e-6, 2e-6), ("A", "A"), ["platform.compliance.zy"]),  # K_OO was measured again
+        ((0.0, 0.0), ("A", "B"), ["K_OO"]),  # another machine
+    ],
+)
+def test_common_sources_need_same_measurement_and_machine(values, laboratories, shared):
+    results = []
+    for date, value, laboratory in zip(DATES, values, laboratories, strict=False):
+        lines = [
+            {"source": source, "kind": "stated", "u": 1e-6, "unit": "", "share": 0.36}
+            | {"sensitivity": 0.6e-3, "contribution": 0.6e-9}
+            for source in ("K_OO", "platform.compliance.zy")
+        ]
+        known = {"K_OO": {"value": value, "u": 1e-6, "unit": "g/g^2", "estimated": False}}
+        result = make_qx_result(budget={"K_II": lines}, known=known)
+        details = {"date": date, "laboratory": laboratory}
+        results.append(result.model_copy(update={"details": details}))
+    instrument = only_instrument(history(results))
+    assert instrument.shared == shared
+    assert instrument.correlation == pytest.approx(0.36 * len(shared))
+
+
+def test_control_limits_are_rounded(tmp_path):
+    histories = history([write_series(tmp_path, [2.7e-5, 2.70123e-5, 2.69876e-5])])
+    text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
+    assert "centre 27.000 ug/g^2, action limits 26.951 to 27.049 ug/g^2" in text
 
 
 def test_values_of_other_sites_are_converted_to_latest_gravity(tmp_path):

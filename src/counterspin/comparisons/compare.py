@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.calibration.checks.comparability import describe_output_conversion
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient
+from counterspin.calibration.result_parts import Coefficient, NominalOutput
 from counterspin.comparisons.estimates import (
     apply_joint_check,
     chi_square,
@@ -164,9 +165,8 @@ def _compare_accelerometer(
             row = rows.setdefault(symbol, [missing_estimate] * len(results))
             units[symbol] = coefficient.unit
             if is_determined(coefficient):
-                gravity = results[0].inputs.gravity
                 estimates = extract_estimates(
-                    results[index], name, [symbol], _target_gravity(results, index, gravity)
+                    results[index], name, [symbol], _target_units(name, results, index)
                 )
                 row[index] = ComparedEstimate(
                     value=float(estimates.values[0]),
@@ -195,22 +195,28 @@ def _compare_accelerometer(
     return compared_coefficients, agreements
 
 
-def _target_gravity(results: Sequence[Result], index: int, gravity: float) -> float | None:
-    """Return the gravity to convert to; None if the results share records.
+def _shares_records(results: Sequence[Result], index: int) -> bool:
+    """Return whether a result shares records with the first result, so is not converted.
 
-    With shared records, a changed gravity is the subject of the comparison.
+    With shared records, a changed gravity or output is the subject of the comparison.
     """
-    return None if record_checksums(results[index]) & record_checksums(results[0]) else gravity
+    return bool(record_checksums(results[index]) & record_checksums(results[0]))
+
+
+def _target_units(
+    name: str, results: Sequence[Result], index: int
+) -> tuple[float, NominalOutput | None] | None:
+    """Return gravity and nominal output to convert to; None if the result is not converted."""
+    if _shares_records(results, index):
+        return None
+    reference = next(result for result in results if name in result.accelerometers)
+    return results[0].inputs.gravity, reference.accelerometers[name].nominal
 
 
 def _conversion_gravity(results: Sequence[Result], index: int) -> float | None:
     """Return the gravity of a result if its numbers are converted, otherwise None."""
     result_gravity, gravity = results[index].inputs.gravity, results[0].inputs.gravity
-    return (
-        None
-        if result_gravity == gravity or _target_gravity(results, index, gravity) is None
-        else result_gravity
-    )
+    return None if result_gravity == gravity or _shares_records(results, index) else result_gravity
 
 
 def _compare_pair(
@@ -220,15 +226,17 @@ def _compare_pair(
     terms: Sequence[str],
     result_names: Sequence[str],
 ) -> tuple[PairAgreement, dict[str, tuple[float, float, float | None]]]:
-    gravity = results[0].inputs.gravity
     first_estimates, second_estimates = (
-        extract_estimates(results[index], name, terms, _target_gravity(results, index, gravity))
+        extract_estimates(results[index], name, terms, _target_units(name, results, index))
         for index in indices
     )
     first_result, second_result = (results[index] for index in indices)
     relation, assumptions = relate_results(
         name, (first_result, second_result), (first_estimates, second_estimates)
     )
+    if not _shares_records(results, indices[1]):
+        labels = result_names[indices[0]], result_names[indices[1]]
+        assumptions += describe_output_conversion(name, (first_result, second_result), labels)
     covariance, sources = covariance_of_difference(first_estimates, second_estimates, relation)
     covariance = apply_joint_check(
         name, (first_result, second_result), (first_estimates, second_estimates), covariance

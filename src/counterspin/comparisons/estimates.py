@@ -12,18 +12,25 @@ its machine in all their results, so results with the same default standard unce
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Literal
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.checks.comparability import (
+    are_different,
+    g_units_ratio,
+    is_instrument_source,
+    output_conversion,
+    source_value,
+)
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient
+from counterspin.calibration.result_parts import Coefficient, NominalOutput
 from counterspin.comparisons.rerun import term_names
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
-from counterspin.physics.terms import TERMS, mounting_name
+from counterspin.physics.terms import mounting_name
 
 #: Relative variance below which a difference of variances is a rounding error.
 NEGLIGIBLE_VARIANCE: Final = 1e-9
@@ -48,6 +55,9 @@ class Relation:
     has_same_weights: bool = False
     #: Noise of the first result divided by the noise of the second, if both estimate it.
     noise_ratio: float = 1.0
+    #: Whether independent results may share terms of the instrument, or of machine and site.
+    is_same_instrument: bool = True
+    is_same_machine: bool = True
 
 
 def covariance_of_difference(
@@ -56,17 +66,24 @@ def covariance_of_difference(
     """Return the covariance of second minus first, and the names of the shared sources."""
     is_partial_overlap = relation.overlap == "part" and relation.efficient_index is None
     if relation.overlap == "independent" or is_partial_overlap:
-        return _independent_covariance(first, second)
+        return _independent_covariance(first, second, relation)
     return _common_record_covariance(first, second, relation)
 
 
-def _independent_covariance(first: Estimates, second: Estimates) -> tuple[Array, list[str]]:
+def _independent_covariance(
+    first: Estimates, second: Estimates, relation: Relation
+) -> tuple[Array, list[str]]:
     covariance = first.covariance + second.covariance
     shared_names = []
     for name, first_source in first.sources.items():
         second_source = second.sources.get(name)
         if (
             second_source is not None
+            and (
+                relation.is_same_instrument
+                if is_instrument_source(name)
+                else relation.is_same_machine
+            )
             and not first_source.is_run_specific
             and first_source.has_same_statement(second_source)
         ):
@@ -267,30 +284,25 @@ def covariance_of_shifts(shifts: Sequence[Array], n_terms: int) -> Array:
     return covariance
 
 
-def g_units_ratio(symbol: str, gravity: float, other_gravity: float) -> float:
-    """Return the factor that converts a term to g-units of another gravity.
-
-    A coefficient with n factors has the unit g/g^n and is proportional to g^(1 - n).
-    """
-    return (
-        (gravity / other_gravity) ** (1 - len(TERMS[symbol].effect.factors))
-        if symbol in TERMS
-        else 1.0
-    )
-
-
 def extract_estimates(
-    result: Result, name: str, symbols: Sequence[str], gravity: float | None = None
+    result: Result,
+    name: str,
+    symbols: Sequence[str],
+    units: tuple[float, NominalOutput | None] | None = None,
 ) -> Estimates:
     """Extract the estimates of some terms of an accelerometer from a result.
 
-    gravity: Gravity of the g-units of the numbers, m/s^2; None: gravity of the result.
+    units: Gravity, m/s^2, and nominal output to which the numbers are converted; None: those of
+        the result.
     """
     accelerometer = result.accelerometers[name]
     coefficients = [accelerometer.coefficients[symbol] for symbol in symbols]
-    result_gravity = result.inputs.gravity
-    target_gravity = result_gravity if gravity is None else gravity
-    ratios = np.array([g_units_ratio(symbol, result_gravity, target_gravity) for symbol in symbols])
+    gravity = result.inputs.gravity
+    target_gravity, target_output = units or (gravity, accelerometer.nominal)
+    conversion = output_conversion(accelerometer.nominal, gravity, target_output, target_gravity)
+    ratios = conversion.ratio * np.array(
+        [g_units_ratio(symbol, gravity, target_gravity) for symbol in symbols]
+    )
     u = np.array([coefficient.u or 0.0 for coefficient in coefficients])
     correlation_matrix = np.eye(len(coefficients))
     correlation = accelerometer.correlation
@@ -304,7 +316,8 @@ def extract_estimates(
     }
     return Estimates(
         symbols=tuple(symbols),
-        values=ratios * np.array([coefficient.value or 0.0 for coefficient in coefficients]),
+        values=ratios * np.array([coefficient.value or 0.0 for coefficient in coefficients])
+        + [conversion.shift(symbol) for symbol in symbols],
         covariance=np.outer(ratios * u, ratios * u) * correlation_matrix,
         sources=sources,
         is_complete=has_correlations
@@ -339,32 +352,13 @@ def _extract_sources(result: Result, name: str, symbols: Sequence[str]) -> dict[
                 source = sources[line.source] = SharedSource(
                     # A rotation from the encoder has the same uncertainty in every fit.
                     estimated=line.kind in ("stated", "unstated"),
-                    value_and_u=(_source_value(result, name, line.source), line.u),
+                    value_and_u=(source_value(result, name, line.source), line.u),
                     shifts=np.zeros(len(symbols)),
                     is_run_specific=bool(mounting_name(line.source))
                     or any(line.source.startswith(f"{run}.") for run in result.runs),
                 )
             source.shifts[index] = line.sensitivity * line.u
     return sources
-
-
-def _source_value(result: Result, name: str, source: str) -> float | None:
-    """Return the value of an input or prior; None if the result does not state it."""
-    inputs, accelerometer = result.inputs, result.accelerometers[name]
-    input_values = {
-        "centrifuge.radius": inputs.radius,
-        "site.gravity": inputs.gravity,
-        "site.latitude": inputs.latitude,
-    }
-    if source in input_values:
-        return input_values[source]
-    if source in accelerometer.known:
-        return accelerometer.known[source].value
-    for prior in result.rests_on:
-        if prior.name in (source, f"{name}.{source}"):
-            return prior.value
-    coefficient = accelerometer.coefficients.get(source)
-    return None if coefficient is None or coefficient.estimated else coefficient.value
 
 
 def record_checksums(result: Result) -> frozenset[str]:
@@ -394,12 +388,13 @@ def relate_results(
             "results are independent."
         )
     if not checksums[0] & checksums[1]:
-        assumptions.append(
-            "The comparison treats all inputs as independent, except values of radius, gravity "
-            "and priors that both results state identically: it treats these as the same "
-            "measurement."
+        relation = Relation(
+            "independent",
+            is_same_instrument=not are_different(serial_numbers(name, results)),
+            is_same_machine=not are_different(laboratory_names(results)),
         )
-        return Relation("independent"), assumptions
+        assumptions += _describe_independence(name, results, relation)
+        return relation, assumptions
     overlap: Literal["same", "part"] = "same" if checksums[0] == checksums[1] else "part"
     efficient_index = _efficient_result_index(results, checksums, estimates)
     has_same_weights = (
@@ -440,6 +435,48 @@ def relate_results(
     return Relation(
         overlap, efficient_index, has_same_weights, _noise_ratio(name, first_result, second_result)
     ), assumptions
+
+
+def serial_numbers(name: str, results: Sequence[Result]) -> list[str | None]:
+    """Return the serial numbers of an accelerometer; of the campaigns if it has none."""
+    numbers = [result.accelerometers[name].serial_number for result in results]
+    campaign_numbers = [result.details.get("serial_number") for result in results]
+    return numbers if any(numbers) else campaign_numbers
+
+
+def laboratory_names(results: Sequence[Result]) -> list[str | None]:
+    """Return the laboratories that the campaigns state."""
+    return [result.details.get("laboratory") for result in results]
+
+
+def _describe_independence(
+    name: str, results: Sequence[Result], relation: Relation
+) -> Iterator[str]:
+    """Yield the assumptions about common inputs of independent results."""
+    if not relation.is_same_instrument:
+        numbers = " and ".join(map(str, serial_numbers(name, results)))
+        yield (
+            f"The serial numbers of {name} differ ({numbers}). The comparison treats the results "
+            "as results of different instruments, whose terms are independent."
+        )
+    if not relation.is_same_machine:
+        laboratories = " and ".join(map(str, laboratory_names(results)))
+        yield (
+            f"The laboratories differ ({laboratories}). The comparison treats their machines and "
+            "sites as independent."
+        )
+    common_inputs = {
+        (True, True): "values of radius, gravity and priors",
+        (True, False): "priors of the instrument",
+        (False, True): "values of radius and gravity, and priors of the machine,",
+    }.get((relation.is_same_instrument, relation.is_same_machine))
+    if common_inputs is None:
+        yield "The comparison treats all inputs as independent."
+    else:
+        yield (
+            f"The comparison treats all inputs as independent, except {common_inputs} that both "
+            "results state identically: it treats these as the same measurement."
+        )
 
 
 def _efficient_result_index(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Final
@@ -11,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.checks.comparability import are_different, describe_output_conversion
 from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.result import Result
 from counterspin.campaign.validation import suggest_name
@@ -25,7 +25,9 @@ from counterspin.comparisons.estimates import (
     Relation,
     covariance_of_difference,
     extract_estimates,
+    laboratory_names,
     record_checksums,
+    serial_numbers,
 )
 from counterspin.comparisons.result import (
     DegreeOfEquivalence,
@@ -34,7 +36,6 @@ from counterspin.comparisons.result import (
     ReferenceValue,
 )
 from counterspin.errors import CampaignError
-from counterspin.physics.terms import find_symbol, is_term, term
 
 #: Significance level of the chi-square test (Cox 2002).
 SIGNIFICANCE: Final = 0.05
@@ -96,21 +97,12 @@ def intercompare(
     ]
     if not reference_values:
         raise _comparison_error("no coefficient is determined by all results")
-    unnamed_laboratories = [
-        name for name, result in laboratories.items() if "laboratory" not in result.details
-    ]
     return Intercomparison(
         gravity=loaded_results[0].inputs.gravity,
         significance=SIGNIFICANCE,
         laboratories=list(laboratories),
         references=reference_values,
-        assumed=[
-            f"The campaigns of {', '.join(unnamed_laboratories)} do not name a laboratory. "
-            "The comparison treats identical values for the machine and the site as the same "
-            "measurement."
-        ]
-        if unnamed_laboratories
-        else [],
+        assumed=[*_describe_assumptions(laboratories)],
         unsealed=[name for name, result in laboratories.items() if not result.sealed],
     )
 
@@ -163,13 +155,30 @@ def _common_accelerometers(laboratories: Mapping[str, Result]) -> list[str]:
         )
         raise _comparison_error(f"the results have no accelerometer in common ({names_text})")
     for name in names:
-        serial_numbers = {
-            result_accelerometers[name].serial_number for result_accelerometers in accelerometers
-        } - {None}
-        if len(serial_numbers) > 1:
-            serial_text = ", ".join(sorted(map(str, serial_numbers)))
+        numbers = serial_numbers(name, list(laboratories.values()))
+        if are_different(numbers):
+            serial_text = ", ".join(sorted(number for number in set(numbers) if number))
             raise _comparison_error(f"{name} has different serial numbers: {serial_text}")
     return names
+
+
+def _describe_assumptions(laboratories: Mapping[str, Result]) -> Iterator[str]:
+    """Yield the assumptions on common sources, and the conversions of outputs."""
+    unnamed_laboratories = [
+        name for name, result in laboratories.items() if "laboratory" not in result.details
+    ]
+    if unnamed_laboratories:
+        yield (
+            f"The campaigns of {', '.join(unnamed_laboratories)} do not name a laboratory. "
+            "The comparison treats identical values for the machine and the site as the same "
+            "measurement."
+        )
+    (first_name, first_result), *other_results = laboratories.items()
+    for accelerometer in _common_accelerometers(laboratories):
+        for name, result in other_results:
+            yield from describe_output_conversion(
+                accelerometer, (first_result, result), (first_name, name)
+            )
 
 
 def _determining_laboratories(
@@ -213,8 +222,9 @@ def _evaluate_reference_value(
 ) -> ReferenceValue:
     result_by_laboratory = _determining_laboratories(accelerometer, symbol, laboratories)
     names, results = list(result_by_laboratory), list(result_by_laboratory.values())
-    gravity = next(iter(laboratories.values())).inputs.gravity
-    estimates = [extract_estimates(result, accelerometer, [symbol], gravity) for result in results]
+    first_result = next(iter(laboratories.values()))
+    units = first_result.inputs.gravity, first_result.accelerometers[accelerometer].nominal
+    estimates = [extract_estimates(result, accelerometer, [symbol], units) for result in results]
     values = np.array([float(estimate.values[0]) for estimate in estimates])
     covariance, shared_names = _estimate_covariance(results, estimates)
     u = np.sqrt(np.diag(covariance))
@@ -276,23 +286,16 @@ def _estimate_covariance(
     """Return the covariance of the estimates, and the names of the common sources."""
     covariance = np.diag([float(estimate.covariance[0, 0]) for estimate in estimates])
     shared_names = dict[str, None]()
-    laboratories = [result.details.get("laboratory") for result in results]
+    laboratories = laboratory_names(results)
     for i, j in combinations(range(len(estimates)), 2):
-        pair = estimates[i], estimates[j]
-        if None not in (laboratories[i], laboratories[j]) and laboratories[i] != laboratories[j]:
-            pair = _keep_instrument_sources(pair[0]), _keep_instrument_sources(pair[1])
-        pair_covariance, source_names = covariance_of_difference(*pair, Relation("independent"))
+        # Machine and site belong to a laboratory.
+        relation = Relation(
+            "independent", is_same_machine=not are_different([laboratories[i], laboratories[j]])
+        )
+        pair_covariance, source_names = covariance_of_difference(
+            estimates[i], estimates[j], relation
+        )
         shared_names |= dict.fromkeys(source_names)
         variance_sum = covariance[i, i] + covariance[j, j]
         covariance[i, j] = covariance[j, i] = 0.5 * (variance_sum - float(pair_covariance[0, 0]))
     return covariance, list(shared_names)
-
-
-def _keep_instrument_sources(estimates: Estimates) -> Estimates:
-    """Return the estimates without sources of machine and site, which belong to a laboratory."""
-    instrument_sources = {
-        name: source
-        for name, source in estimates.sources.items()
-        if is_term(find_symbol(name)) and term(find_symbol(name)).scope == "accelerometer"
-    }
-    return replace(estimates, sources=instrument_sources)

@@ -87,9 +87,10 @@ def _degree_tables(reference: ReferenceValue) -> Iterator[Table]:
 
     def format_rounded(d: float, expanded_u_d: float) -> tuple[str, str]:
         rounded = round_to_uncertainty(d * factor, expanded_u_d * factor) if expanded_u_d else None
-        if rounded is None or rounded.exponent:
+        if rounded is None:
             return format_number(d * factor), format_number(expanded_u_d * factor, 2)
-        return rounded.value, rounded.u
+        power_text = f"e{rounded.exponent}" if rounded.exponent else ""
+        return rounded.value + power_text, rounded.u + power_text
 
     degree_rows = []
     for title, degree in reference.degrees.items():

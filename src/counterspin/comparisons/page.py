@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from counterspin.comparisons.estimates import g_units_ratio
+from counterspin.calibration.checks.comparability import OUTPUT_SENTENCE_START, g_units_ratio
 from counterspin.comparisons.result import (
     ComparedCoefficient,
     ComparedEstimate,
@@ -123,11 +123,20 @@ def _conversion_note(comparison: ResultComparison, result: ComparedResult, gravi
         for percent, symbols in symbols_by_percent.items()
         if percent
     )
+    has_converted_output = any(
+        text.startswith(OUTPUT_SENTENCE_START)
+        for agreement in comparison.agreements
+        if agreement.result == result.name
+        for text in agreement.assumed
+    )
     return (
         f"{result.name} was calibrated at a gravity of {format_number(gravity, 9)} m/s^2. The "
         f"comparison converts the values to the g-units of {comparison.results[0].name} "
-        f"({format_number(comparison.gravity, 9)} m/s^2). The conversion changes "
-        f"{'; '.join(change_texts) or 'no coefficient'}."
+        f"({format_number(comparison.gravity, 9)} m/s^2)."
+    ) + (
+        ""
+        if has_converted_output
+        else f" The conversion changes {'; '.join(change_texts) or 'no coefficient'}."
     )
 
 

@@ -75,6 +75,9 @@ def _describe_result(result: Result) -> Iterator[tuple[str, str]]:
 
 def _describe_model(result: Result) -> Iterator[tuple[str, str]]:
     for name, accelerometer in result.accelerometers.items():
+        yield f"serial number of {name}", accelerometer.serial_number or _NO_VALUE
+        output = accelerometer.nominal
+        yield f"output of {name}", _NO_VALUE if output is None else output.words
         yield f"terms of {name}", ", ".join(accelerometer.coefficients)
         for symbol, known_coefficient in accelerometer.known.items():
             yield (

@@ -10,9 +10,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Literal
 
+from counterspin.calibration.checks.comparability import source_value
 from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient
+from counterspin.calibration.result_parts import Coefficient, NominalOutput
 from counterspin.errors import CampaignError, RecordError, describe_read_error
 from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult
@@ -122,6 +123,7 @@ class DatedResult:
     laboratory: str | None = None
     mounting: str | None = None
     turn_on: str | None = None
+    nominal: NominalOutput | None = None  #: Nominal output of which `value` is a multiple.
 
 
 @dataclass
@@ -274,11 +276,12 @@ def _make_dated_result(
             for input_file, checksum in result.provenance.inputs.items()
             if not input_file.endswith(".toml") and checksum.startswith("sha256:")
         ),
-        source_shifts=source_shifts(result, coefficient.u, tracked_value.budget),
+        source_shifts=source_shifts(result, coefficient.u, tracked_value.budget, names[0]),
         limits=_specification_limits(tracked_value.conformity),
         laboratory=result.details.get("laboratory"),
         mounting=result.details.get("mounting"),
         turn_on=result.details.get("turn_on"),
+        nominal=None if term in TRIAD_PARAMETERS else result.accelerometers[names[0]].nominal,
     )
 
 
@@ -316,16 +319,17 @@ def _parse_date(text: str | None) -> datetime | str:
 
 
 def source_shifts(
-    result: Result, u: float, budget: Sequence[BudgetLine]
+    result: Result, u: float, budget: Sequence[BudgetLine], name: str = ""
 ) -> dict[tuple[str, str], float]:
     """Return (source, identity) -> shift of the coefficient by sources that results may share.
 
-    Two results share an input if its value and uncertainty are equal in both. They share a term
-    of the accelerometer, the platform or the machine if its uncertainty, stated or default, is
-    equal in both. A term of another accelerometer is shared only with the same serial number.
-    Terms of a run or a mounting are not shared.
+    Two results share an input, or a term of the accelerometer, the platform or the machine, if
+    its value and uncertainty, stated or default, are equal in both. A term of another
+    accelerometer is shared only with the same serial number. Terms of a run or a mounting are not
+    shared.
 
     u, budget: Standard uncertainty of the coefficient, and its budget.
+    name: Name of the accelerometer, to find the values of its terms.
     """
     shifts: dict[tuple[str, str], float] = {}
     if sum(line.contribution**2 for line in budget) > _MAX_BUDGET_SUM * u**2:
@@ -339,6 +343,8 @@ def source_shifts(
             identity = f"{getattr(result.inputs, _INPUT_FIELDS[source])!r} ± {line.u!r}"
         elif is_term(source) and term(source).scope not in _RUN_SCOPES:
             identity = repr(line.u)
+            if name in result.accelerometers and (value := source_value(result, name, source)):
+                identity = f"{value!r} ± {identity}"  # another value is another measurement
         elif accelerometer_name in result.accelerometers and is_term(symbol):
             serial_number = result.accelerometers[accelerometer_name].serial_number
             identity = f"{line.u!r} of {serial_number or result.details.get('serial_number')}"

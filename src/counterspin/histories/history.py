@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
 from itertools import combinations
@@ -13,6 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.checks.comparability import (
+    are_different,
+    g_units_ratio,
+    is_instrument_source,
+    output_conversion,
+)
 from counterspin.calibration.result import Result
 from counterspin.campaign.validation import suggest_name
 from counterspin.errors import CampaignError, CounterspinError, UsageError
@@ -104,9 +110,9 @@ def history(
     _remove_duplicate_results(result_set)
     if not result_set.records:
         raise CounterspinError(_no_results_message(paths, result_set), code="no-results")
-    gravity = max(result_set.records, key=lambda record: (record.date, record.file)).gravity
+    gravity = max(result_set.records, key=_date_and_file).gravity
     records_by_serial: dict[str, list[DatedResult]] = {}
-    for record in sorted(result_set.records, key=lambda record: (record.date, record.file)):
+    for record in sorted(result_set.records, key=_date_and_file):
         if serial in (None, record.serial_number, record.campaign_serial_number):
             records_by_serial.setdefault(record.serial_number, []).append(record)
     if not records_by_serial:
@@ -126,7 +132,8 @@ def history(
         converted=any(record.gravity != gravity for record in result_set.records),
         instruments=[
             _make_instrument_history(
-                [_convert_gravity(gravity, record, term) for record in records], reliability
+                [_convert_units(record, records[-1], gravity, term) for record in records],
+                reliability,
             )
             for _, records in sorted(records_by_serial.items())
         ],
@@ -136,6 +143,7 @@ def history(
         notes=[
             *unsealed_sentences(result_set.unsealed_results),
             *_shared_record_notes(records_by_serial),
+            *_output_notes(records_by_serial),
         ],
     )
 
@@ -216,22 +224,42 @@ def _shared_record_notes(records_by_serial: dict[str, list[DatedResult]]) -> lis
     return notes
 
 
+def _output_notes(records_by_serial: dict[str, list[DatedResult]]) -> Iterator[str]:
+    """Yield a note on each instrument whose results state different nominal outputs."""
+    for serial, records in records_by_serial.items():
+        words = dict.fromkeys(record.nominal.words if record.nominal else "g" for record in records)
+        if len(words) > 1:
+            latest = records[-1].nominal
+            yield (
+                f"{serial}: the nominal outputs of the results differ ({', '.join(words)}). The "
+                f"history converts the values to {latest.words if latest else 'g'} if the units "
+                "are convertible. Otherwise, an error of a nominal sensitivity appears as a "
+                "change."
+            )
+
+
 # From results to a history
 
 
-def _convert_gravity(gravity: float, record: DatedResult, term: str) -> DatedResult:
-    """Convert a result to g-units of another gravity.
+def _date_and_file(record: DatedResult) -> tuple[datetime, str]:
+    return record.date, record.file
 
-    A coefficient with n factors has the unit g/g^n and is proportional to g^(1 - n).
-    """
-    factor = (record.gravity / gravity) ** (1 - len(equivalent_term(term).effect.factors))
+
+def _convert_units(
+    record: DatedResult, latest: DatedResult, gravity: float, term: str
+) -> DatedResult:
+    """Convert a result to g-units of a gravity and to the nominal output of the latest result."""
+    conversion = output_conversion(record.nominal, record.gravity, latest.nominal, gravity)
+    symbol = equivalent_term(term).symbol
+    factor = conversion.ratio * g_units_ratio(symbol, record.gravity, gravity)
+    shift = conversion.shift(symbol)
     limits = record.limits
     if limits is not None:
-        low, high = (None if limit is None else limit * factor for limit in limits[:2])
+        low, high = (None if limit is None else limit * factor + shift for limit in limits[:2])
         limits = (low, high, limits[2])
     return replace(
         record,
-        value=record.value * factor,
+        value=record.value * factor + shift,
         u=record.u * factor,
         gravity=gravity,
         source_shifts={key: shift * factor for key, shift in record.source_shifts.items()},
@@ -243,7 +271,7 @@ def _make_instrument_history(
     records: Sequence[DatedResult], reliability: float
 ) -> InstrumentHistory:
     values, u = [record.value for record in records], [record.u for record in records]
-    shared_inputs = find_shared_inputs(u, [record.source_shifts for record in records])
+    shared_inputs = find_shared_inputs(u, [*_shifts_by_laboratory(records)])
     covariance = None if shared_inputs is None else shared_inputs.covariance
     mean = weighted_mean(values, u, covariance)
     start = records[0].date
@@ -267,6 +295,23 @@ def _make_instrument_history(
         repeatability=evaluate_repeatability(records, covariance, has_drift=verdict == "drifts"),
         laboratories=_compare_laboratories(records, covariance),
     )
+
+
+def _shifts_by_laboratory(
+    records: Sequence[DatedResult],
+) -> Iterator[dict[tuple[str, str], float]]:
+    """Yield the shifts of each result by shared sources; each laboratory has its own machine."""
+    is_one_machine = not are_different([record.laboratory for record in records])
+    for record in records:
+        yield {
+            (
+                source,
+                identity
+                if is_one_machine or is_instrument_source(source)
+                else f"{identity} in {record.laboratory}",
+            ): shift
+            for (source, identity), shift in record.source_shifts.items()
+        }
 
 
 def _latest_specification(records: Sequence[DatedResult]) -> SpecificationLimits | None:

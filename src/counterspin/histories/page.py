@@ -117,19 +117,27 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
     """Yield sentences on control limits, shared inputs, due date, and pairs of laboratories."""
     unit, factor = find_display_unit(history.unit)
 
-    def format_range(lower: float, upper: float) -> str:
-        return f"{lower * factor:.6g} to {upper * factor:.6g} {unit}"
-
     if (chart := instrument.control) is not None:
+        # The chart's standard deviation, which rounds its limits; identical results have none.
+        sigma = (chart.action_high - chart.warning_high) or instrument.u_mean
+        rounded = round_to_uncertainty(chart.centre * factor, sigma * factor)
+
+        def format_level(level: float) -> str:
+            if rounded is None:
+                return format_number(level * factor, 17)
+            power_text = f"e{rounded.exponent}" if rounded.exponent else ""
+            return rounded.format(level * factor) + power_text
+
         alarms = [
             *(f"{file} is outside the action limits" for file in chart.beyond),
             *(f"{file} has jumped since the previous result" for file in chart.leaps),
         ]
         yield (
-            f"Individuals chart: centre {chart.centre * factor:.6g} {unit}, action limits "
-            f"{format_range(chart.action_low, chart.action_high)}, warning limits "
-            f"{format_range(chart.warning_low, chart.warning_high)}. The limits are calculated "
-            "from the mean moving range. "
+            f"Individuals chart: centre {format_level(chart.centre)} {unit}, action limits "
+            f"{format_level(chart.action_low)} to {format_level(chart.action_high)} {unit}, "
+            f"warning limits {format_level(chart.warning_low)} to "
+            f"{format_level(chart.warning_high)} {unit}. The limits are calculated from the mean "
+            "moving range. "
             + (
                 f"The process is out of control: {'; '.join(alarms)}."
                 if alarms
@@ -154,11 +162,19 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
             yield f"No due date can be stated with {probability_text}: {due.reason}."
     for pair in instrument.laboratories:
         agreement_text = "agree" if pair.agrees else "differ significantly"
-        difference_text = format_number(pair.difference * factor, 2)
+        difference_text = _format_difference(pair.difference * factor, pair.e_n)
         yield (
             f"{pair.second} minus {pair.first} = {difference_text} {unit}, E_n = {pair.e_n:.2f}; "
             f"the results {agreement_text}."
         )
+
+
+def _format_difference(difference: float, e_n: float) -> str:
+    """Format a difference, rounded to the first digit of its expanded uncertainty."""
+    if not difference or not e_n:
+        return "0"
+    u_digit = math.floor(math.log10(abs(difference / e_n)))
+    return format_number(difference, max(1, math.floor(math.log10(abs(difference))) - u_digit + 1))
 
 
 #: Component -> the repeated condition, singular and plural.
