@@ -5,7 +5,7 @@
 - `mutations`: mutations of bytes, text, trees (TOML, JSON, XML) and tables
 - `formats`: for every input format: seed files, mutations and reader
 - `format`: definition of a format; `requests`, `connections`: requests to the application;
-  `asking`: sending of requests, and checks of answers and files
+  `application_client`: send requests, check responses and files
 - `native`: record files read by native code
 - `hunt`: runs cases, judges the outcomes, stores the findings
 - `tracing`: stops programs at system calls

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from fuzz import ROOT
 from fuzz.formats import FORMATS
-from fuzz.hunt import hunt, work
+from fuzz.hunt import hunt, run_worker
 from fuzz.kills import kill_all
-from fuzz.tracing import possible
+from fuzz.tracing import can_trace
 
 
 def main() -> int:
@@ -28,7 +28,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.work:
         names, seed, first, count, folder = arguments.work
-        work(names.split(","), int(seed), int(first), int(count), Path(folder))
+        run_worker(names.split(","), int(seed), int(first), int(count), Path(folder))
         return 0
     os.nice(10)
     format_names = arguments.only.split(",") if arguments.only else list(FORMATS)
@@ -53,13 +53,13 @@ def main() -> int:
     return int(has_findings)
 
 
-def run_kills(kills: int) -> bool:
+def run_kills(n_kills: int) -> bool:
     """Kill commands while they write; return whether data was lost."""
-    if not possible():
+    if not can_trace():
         print("kills: processes cannot be traced here")
         return False
-    done, faults = kill_all(kills, say=lambda words: print(words, flush=True))
-    print(f"kills: {done}, {len(faults)} with a loss")
+    n_done, faults = kill_all(n_kills, report=lambda message: print(message, flush=True))
+    print(f"kills: {n_done}, {len(faults)} with a loss")
     return bool(faults)
 
 

@@ -6,7 +6,7 @@ and either end closes the connection. The protocol class of the server reads the
 without a socket. Every answer must be complete, an aborted request must leave no file, only one of
 several edits of a version may succeed, and the next request must be answered.
 
-- `connections`: the format
+- `connections_format`: the format
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from uvicorn.server import ServerState
 
 from counterspin.application.served_folder import ServedFolder
 from counterspin.application.server import TimedConnection, make_server
-from fuzz.asking import (
+from fuzz.application_client import (
     HOST,
     PORT,
     SECRET,
@@ -35,7 +35,7 @@ from fuzz.asking import (
 )
 from fuzz.format import Format
 from fuzz.mutations import mutate_bytes
-from fuzz.requests import prepared, request_of, valid_requests, with_ticket
+from fuzz.requests import insert_ticket, make_request, prepare_folders, valid_requests
 
 #: Prefixes of requests that take a few ms and start no process.
 _FAST_REQUESTS = (
@@ -120,7 +120,9 @@ def draw_case(rng: Random, valid: dict[str, tuple[str, str, Any]]) -> bytes:
     for number in range(rng.choice((1, 1, 2, 5))):
         content = b""
         for _ in range(rng.choice((1, 1, 2, 3))):
-            content += _mutate_request(rng, request_of(*valid[common_request or rng.choice(names)]))
+            content += _mutate_request(
+                rng, make_request(*valid[common_request or rng.choice(names)])
+            )
         n_pieces = rng.choice((1, 2, 5))
         cuts = sorted(rng.randrange(len(content) + 1) for _ in range(n_pieces - 1))
         pieces = [content[a:b] for a, b in zip([0, *cuts], [*cuts, len(content)], strict=True)]
@@ -171,11 +173,11 @@ class _ErrorLog(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__()
-        self.told: list[str] = []
+        self.messages: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
         if record.levelno >= logging.ERROR:
-            self.told.append(logging.Formatter().format(record))
+            self.messages.append(logging.Formatter().format(record))
 
 
 class _Server:
@@ -189,13 +191,13 @@ class _Server:
 
     def connect(self) -> TimedConnection:
         """Return the server's side of a new connection."""
-        make: Any = self.config.http_protocol_class
+        make_protocol: Any = self.config.http_protocol_class
         loop = asyncio.get_running_loop()
-        made: TimedConnection = make(
+        connection: TimedConnection = make_protocol(
             config=self.config, server_state=self.state, app_state={}, _loop=loop
         )
-        made.connection_made(_RecordingTransport())
-        return made
+        connection.connection_made(_RecordingTransport())
+        return connection
 
     async def settle(self) -> None:
         """Run the event loop until no request is in progress, or all wait for more data."""
@@ -210,7 +212,7 @@ async def _run_connections(
 ) -> list[bytes]:
     """Run the connections of a case; return the answer bytes of each."""
     tracebacks: list[str] = []
-    with unthreaded_application(app_state, tracebacks) as app, watched.looking():
+    with unthreaded_application(app_state, tracebacks) as app, watched.forbid_outside_access():
         server = _Server(app_state, app)
         connections_by_number: dict[int, TimedConnection] = {}
         disconnected: set[int] = set()
@@ -224,7 +226,7 @@ async def _run_connections(
                 and not connections_by_number[number].transport.is_closing()
             ):
                 connections_by_number[number].data_received(
-                    with_ticket(app_state, piece).encode("latin-1")
+                    insert_ticket(app_state, piece).encode("latin-1")
                 )
             await asyncio.sleep(0)
             if plan["ends"][str(number)] == "leave at once" and number % 2:
@@ -242,40 +244,40 @@ async def _run_connections(
             if partial_request:
                 connection.data_received(partial_request.encode("latin-1"))
         final_connection = server.connect()
-        final_connection.data_received(_encode_request(request_of("GET", "/api/jobs", {}))[0])
+        final_connection.data_received(_encode_request(make_request("GET", "/api/jobs", {}))[0])
         await asyncio.sleep(0)
         for _ in range(_MAX_LOOP_TURNS):
             await asyncio.sleep(0)
             if b"\r\n\r\n" in final_connection.transport.written:
                 break
         assert final_connection.transport.written.startswith(b"HTTP/1.1 200"), (
-            "the next is not answered"
+            "the next request is not answered"
         )
         for connection in (*connections_by_number.values(), *crowd, final_connection):
             connection.connection_lost(None)
             connection._unset_keepalive_if_required()
         await server.settle()
-        assert not server.state.tasks, "a request hangs although nobody is there"
+        assert not server.state.tasks, "a request hangs after all clients have disconnected"
         after = watched.state()
     assert not tracebacks, tracebacks[0]
     # An incomplete request must leave no file.
     removed = {name for name in before if name not in after}
-    added = {name for name in after if name not in watched.first}
+    added = {name for name in after if name not in watched.initial_state}
     hidden = {name for name in added if Path(name).name.startswith(".")}
     assert not hidden, f"left: {sorted(hidden)}"
     assert all(Path(name).name.startswith(".") or name == "new" for name in removed), removed
-    lost = {name for name in watched.first if name not in after}
+    lost = {name for name in watched.initial_state if name not in after}
     assert not lost, f"lost: {sorted(lost)}"
-    return [one.transport.written for one in connections_by_number.values()]
+    return [connection.transport.written for connection in connections_by_number.values()]
 
 
-def connections(place: Path) -> Format:
-    """Return connections to the application."""
-    template, watched = prepared(place)
+def connections_format(folder: Path) -> Format:
+    """Return the format of connections to the application."""
+    template, watched = prepare_folders(folder)
     valid = valid_requests(template)
     app_state = InlineAppState(ServedFolder(watched.folder))
 
-    def use(path: Path) -> None:
+    def read(path: Path) -> None:
         plan = json.loads(path.read_bytes())
         error_log = _ErrorLog()
         for name in ("uvicorn.error", "asyncio"):
@@ -286,19 +288,19 @@ def connections(place: Path) -> Format:
             for name in ("uvicorn.error", "asyncio"):
                 logging.getLogger(name).removeHandler(error_log)
             watched.restore()
-        assert not error_log.told, error_log.told[0]
+        assert not error_log.messages, error_log.messages[0]
         _check_answers(plan, b"".join(answers))
 
-    return Format(".json", lambda rng: draw_case(rng, valid), use)
+    return Format(".json", lambda rng: draw_case(rng, valid), read)
 
 
 def _check_answers(plan: dict[str, Any], answers: bytes) -> None:
     statuses = re.findall(rb"HTTP/1\.1 (\d\d\d)", answers)
     assert not any(status >= b"500" for status in statuses), statuses
     assert SECRET.encode() not in answers
-    sent = "".join(part for _, part in plan["pieces"])
+    sent = "".join(piece for _, piece in plan["pieces"])
     if sent.count("PUT /api/text") > 1 and '"version": ""' not in sent:
-        taken = len(re.findall(rb'"file":"(three/campaign|LAB)\.toml","version"', answers))
-        assert taken <= 2, f"{taken} edits of the same version of two files were taken"
+        n_accepted = len(re.findall(rb'"file":"(three/campaign|LAB)\.toml","version"', answers))
+        assert n_accepted <= 2, f"{n_accepted} edits of one version of two files were accepted"
     if not any(status.startswith(b"2") for status in statuses):
-        raise RequestRefusedError(f"nothing was taken of {HOST}")
+        raise RequestRefusedError(f"nothing was accepted by {HOST}")

@@ -1,4 +1,4 @@
-"""A format and its reader, as the hunt tries it."""
+"""Definition of a fuzzed format."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from random import Random
 
 @dataclass(frozen=True)
 class Format:
-    """A format and its reader.
+    """A file format: how to draw a case, and how to read it.
 
     Attributes
     ----------
     suffix
-        Of the file's name.
-    make
-        Draws a file's content.
-    use
-        Reads the file; raises a CounterspinError or nothing.
+        Suffix of the file name.
+    draw
+        Function that draws the content of a file.
+    read
+        Function that reads a file; it must raise nothing but CounterspinError.
     """
 
     suffix: str
-    make: Callable[[Random], bytes]
-    use: Callable[[Path], object]
+    draw: Callable[[Random], bytes]
+    read: Callable[[Path], object]

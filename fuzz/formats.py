@@ -1,9 +1,9 @@
-"""Every format that counterspin reads: files to begin with, how they are changed, who reads them.
+"""Input formats of counterspin: seed files, mutations and readers.
 
-- `formats`: all, with the files that they need beside them written to a folder
-- `command`: a command of the command line that must not fail without words
+- `FORMATS`: table of all formats; `make_formats`: make formats and the other files they need
+- `run_command`: run a command that must not fail without a message
 
-To fuzz another format, write a function that returns a `Format` and name it in `FORMATS`.
+To fuzz another format, write a function that returns a `Format`, and add it to `FORMATS`.
 """
 
 from __future__ import annotations
@@ -70,55 +70,55 @@ from fuzz.mutations import (
     write_toml,
 )
 
-# What files begin as
+# Seed files
 
 
-def _tables_of(page: str) -> list[str]:
-    """Return the TOML that a page of the documentation shows."""
+def read_toml_blocks(page: str) -> list[str]:
+    """Return the TOML code blocks of a page of the documentation."""
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     return re.findall(r"^```toml\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
-def resource_text(room: str, name: str = "starter.toml") -> str:
-    """Return a text that the package carries."""
-    return (files(f"counterspin.{room}") / name).read_text(encoding="utf-8")
+def resource_text(package: str, name: str = "starter.toml") -> str:
+    """Return the text of a resource file of a package."""
+    return (files(f"counterspin.{package}") / name).read_text(encoding="utf-8")
 
 
-def _toml_maker(seeds: Sequence[str]) -> Callable[[Random], bytes]:
+def _toml_drawer(seeds: Sequence[str]) -> Callable[[Random], bytes]:
     trees = [tomllib.loads(text) for text in seeds]
 
-    def make(rng: Random) -> bytes:
-        at = rng.randrange(len(seeds))
-        kind = rng.random()
-        if kind < 0.6:
-            return write_toml(mutate_tree(rng, trees[at], trees)).encode("utf-8", "replace")
-        if kind < 0.95:
-            return mutate_text(rng, seeds[at]).encode("utf-8", "replace")
-        return mutate_bytes(rng, seeds[at].encode())
+    def draw(rng: Random) -> bytes:
+        index = rng.randrange(len(seeds))
+        choice = rng.random()
+        if choice < 0.6:
+            return write_toml(mutate_tree(rng, trees[index], trees)).encode("utf-8", "replace")
+        if choice < 0.95:
+            return mutate_text(rng, seeds[index]).encode("utf-8", "replace")
+        return mutate_bytes(rng, seeds[index].encode())
 
-    return make
+    return draw
 
 
-def _whole(seeds: Sequence[str], use: Callable[[Any], object], place: Path) -> list[str]:
-    """Return those that are read without complaint: what is wrong from the start hides the rest."""
-    kept = []
-    path = place / "seed.toml"
+def _select_valid(seeds: Sequence[str], read: Callable[[Any], object], folder: Path) -> list[str]:
+    """Return the seeds that are read without an error, which would hide the effect of mutations."""
+    valid = []
+    path = folder / "seed.toml"
     for text in seeds:
         path.write_text(text, encoding="utf-8")
         with contextlib.suppress(Exception):
-            use(path)
-            kept.append(text)
+            read(path)
+            valid.append(text)
     path.unlink()
-    return kept
+    return valid
 
 
-def command(*words: str | Path) -> None:
-    """Run a command; AssertionError if it ends with another status than 0, 1 or 2."""
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-        status = main([str(word) for word in words])
+def run_command(*arguments: str | Path) -> None:
+    """Run a command; raise AssertionError for an internal error."""
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        status = main([str(argument) for argument in arguments])
     assert status in (0, 1, 2), status
-    text = printed.getvalue()
+    text = output.getvalue()
     assert "internal error" not in text, text
     assert "Traceback" not in text, text
 
@@ -126,250 +126,261 @@ def command(*words: str | Path) -> None:
 # Documents
 
 
-def campaign(place: Path) -> Format:
-    """Return the description of a campaign."""
+def campaign_format(folder: Path) -> Format:
+    """Return the format of campaign descriptions."""
     shutil.copy(
-        record_files.write_record(place / "slow.csv", record_files.simulate_columns()),
-        place / "r.csv",
+        record_files.write_record(folder / "slow.csv", record_files.simulate_columns()),
+        folder / "r.csv",
     )
     texts = [SMALL, resource_text("ingest"), resource_text("reproduction", "paper.toml")]
-    texts += [text for page in ("campaign.md", "readings.md") for text in _tables_of(page)]
+    texts += [text for page in ("campaign.md", "readings.md") for text in read_toml_blocks(page)]
     texts += [(ROOT / "docs/examples/three-rate/campaign.toml").read_text(encoding="utf-8")]
     texts += [_READING_CAMPAIGN]
-    return Format(".toml", _toml_maker(_whole(texts, read_campaign, place)), read_campaign)
+    return Format(".toml", _toml_drawer(_select_valid(texts, read_campaign, folder)), read_campaign)
 
 
-#: Runs of a long campaign.
-_MANY_RUNS = 10_000
+#: Number of runs of a long campaign.
+_N_LONG_CAMPAIGN_RUNS = 10_000
 
 
-def long_campaign(place: Path) -> Format:
-    """Return the description of a campaign of many runs, with a few of them changed."""
-    described, mark, after = SMALL.partition("[simulation]")
-    head, *runs = described.split("[[runs]]\n")
+def long_campaign_format(folder: Path) -> Format:
+    """Return the format of campaigns of many runs, with one mutated run."""
+    description, header, after = SMALL.partition("[simulation]")
+    head, *runs = description.split("[[runs]]\n")
 
-    def make(rng: Random) -> bytes:
-        parts = [rng.choice(runs) for _ in range(_MANY_RUNS)]
-        if rng.random() < 0.5:  # names of their own
-            parts = [
-                re.sub(r'(?m)^name = "[^"]*"', f'name = "run {number}"', part)
-                for number, part in enumerate(parts)
+    def draw(rng: Random) -> bytes:
+        run_sections = [rng.choice(runs) for _ in range(_N_LONG_CAMPAIGN_RUNS)]
+        if rng.random() < 0.5:  # unique names
+            run_sections = [
+                re.sub(r'(?m)^name = "[^"]*"', f'name = "run {number}"', section)
+                for number, section in enumerate(run_sections)
             ]
-        changed = rng.randrange(_MANY_RUNS)
-        parts[changed] = mutate_text(rng, parts[changed])
-        text = "[[runs]]\n".join([head, *parts]) + mark + after
+        index = rng.randrange(_N_LONG_CAMPAIGN_RUNS)
+        run_sections[index] = mutate_text(rng, run_sections[index])
+        text = "[[runs]]\n".join([head, *run_sections]) + header + after
         return text.encode("utf-8", "replace")
 
-    return Format(".toml", make, read_campaign)
+    return Format(".toml", draw, read_campaign)
 
 
-def calibration(place: Path) -> Format:
-    """Return a description beside its records, calibrated."""
-    source = place / "source"
+def calibration_format(folder: Path) -> Format:
+    """Return the format of campaign descriptions with records, which are calibrated."""
+    source = folder / "source"
     source.mkdir()
     (source / "campaign.toml").write_text(SMALL, encoding="utf-8")
-    simulate(source, place, overwrite=True)
-    texts = [(place / "campaign.toml").read_text(encoding="utf-8"), SMALL]
-    return Format(".toml", _toml_maker(texts), lambda path: command("calibrate", path))
+    simulate(source, folder, overwrite=True)
+    texts = [(folder / "campaign.toml").read_text(encoding="utf-8"), SMALL]
+    return Format(".toml", _toml_drawer(texts), lambda path: run_command("calibrate", path))
 
 
-def plan(place: Path) -> Format:
-    """Return a plan's file."""
-    texts = [resource_text("planning"), *_tables_of("plan.md")]
+def plan_format(folder: Path) -> Format:
+    """Return the format of plans of runs."""
+    texts = [resource_text("planning"), *read_toml_blocks("plan.md")]
 
-    def use(path: Path) -> None:
+    def read(path: Path) -> None:
         read_plan(path)
 
-    return Format(".toml", _toml_maker(_whole(texts, use, place)), use)
+    return Format(".toml", _toml_drawer(_select_valid(texts, read, folder)), read)
 
 
-def reading_plan(place: Path) -> Format:
-    """Return a plan of readings."""
-    texts = _whole(_tables_of("plan.md"), read_reading_plan, place)
-    return Format(".toml", _toml_maker(texts), read_reading_plan)
+def reading_plan_format(folder: Path) -> Format:
+    """Return the format of plans of readings."""
+    texts = _select_valid(read_toml_blocks("plan.md"), read_reading_plan, folder)
+    return Format(".toml", _toml_drawer(texts), read_reading_plan)
 
 
-def study_file(place: Path) -> Format:
-    """Return a study's description."""
-    texts = [SMALL, resource_text("reproduction", "paper.toml") + STUDY, *_tables_of("study.md")]
-    return Format(".toml", _toml_maker(_whole(texts, read_study, place)), read_study)
+def study_format(folder: Path) -> Format:
+    """Return the format of study descriptions."""
+    texts = [
+        SMALL,
+        resource_text("reproduction", "paper.toml") + STUDY,
+        *read_toml_blocks("study.md"),
+    ]
+    return Format(".toml", _toml_drawer(_select_valid(texts, read_study, folder)), read_study)
 
 
-def sizes(place: Path) -> Format:
-    """Return a description of which all is made that needs no records; its sizes are extreme."""
-    of_campaign = SMALL.replace("revolutions = 20", "revolutions = 6") + "[study]\ntrials = 4\n"
+def sizes_format(folder: Path) -> Format:
+    """Return the format of descriptions with extreme sizes: simulated, studied or planned."""
+    campaign_text = SMALL.replace("revolutions = 20", "revolutions = 6") + "[study]\ntrials = 4\n"
     plan_text = resource_text("planning").replace("runs = 14", "runs = 2")
-    texts = [of_campaign, of_campaign, plan_text, *_whole(_tables_of("plan.md"), make_plan, place)]
+    texts = [
+        campaign_text,
+        campaign_text,
+        plan_text,
+        *_select_valid(read_toml_blocks("plan.md"), make_plan, folder),
+    ]
     trees = [tomllib.loads(text) for text in texts]
-    makers = (
+    readers = (
         forecast_campaign,
         lambda path: study(path, trials=4),
         lambda path: simulate(read_campaign(path)),
     )
 
-    def make(rng: Random) -> bytes:
+    def draw(rng: Random) -> bytes:
         return write_toml(mutate_sizes(rng, rng.choice(trees))).encode()
 
-    def use(path: Path) -> None:
+    def read(path: Path) -> None:
         content = path.read_bytes()
         if b'"limits"' in content:
             make_plan(path)
         else:
-            makers[zlib.crc32(content) % len(makers)](path)
+            readers[zlib.crc32(content) % len(readers)](path)
 
-    return Format(".toml", make, use)
+    return Format(".toml", draw, read)
 
 
-def lab(place: Path) -> Format:
-    """Return a laboratory's file."""
-    given = results.make_qx_result()
+def lab_format(folder: Path) -> Format:
+    """Return the format of laboratory files."""
+    result = results.make_qx_result()
     texts = [certificates.LAB, resource_text("certificates")]
-    return Format(".toml", _toml_maker(texts), lambda path: read_lab(path, given))
+    return Format(".toml", _toml_drawer(texts), lambda path: read_lab(path, result))
 
 
-def result_file(place: Path) -> Format:
-    """Return a result: read, judged, set as pages, applied, and in a history."""
-    trees = [json.loads(text) for text in _result_texts()]
-    for tree in trees[1:]:  # or the seal would keep every change from all that comes after it
+def result_format(folder: Path) -> Format:
+    """Return the format of results: read, judged, reported, applied, and in a history."""
+    trees = [json.loads(text) for text in _make_result_texts()]
+    for tree in trees[1:]:  # otherwise the seal would reject every mutation
         tree["seal"] = None
     texts = [json.dumps(tree, indent=1) for tree in trees]
 
-    def make(rng: Random) -> bytes:
-        at = rng.randrange(len(trees))
-        kind = rng.random()
-        if kind < 0.7:
-            text = write_json(rng, mutate_tree(rng, trees[at], trees))
-        elif kind < 0.95:
-            text = mutate_text(rng, texts[at])
+    def draw(rng: Random) -> bytes:
+        index = rng.randrange(len(trees))
+        choice = rng.random()
+        if choice < 0.7:
+            text = write_json(rng, mutate_tree(rng, trees[index], trees))
+        elif choice < 0.95:
+            text = mutate_text(rng, texts[index])
         else:
-            return mutate_bytes(rng, texts[at].encode())
+            return mutate_bytes(rng, texts[index].encode())
         return text.encode("utf-8", "surrogatepass" if rng.random() < 0.1 else "replace")
 
-    def use(path: Path) -> None:
-        found = judge_result(Result.read(path))
-        full_report_blocks(found)
-        found.to_json()
-        for name in list(found.accelerometers)[:1]:
+    def read(path: Path) -> None:
+        result = judge_result(Result.read(path))
+        full_report_blocks(result)
+        result.to_json()
+        for name in list(result.accelerometers)[:1]:
             with contextlib.suppress(RecordError):
                 history([path])
-            apply(found, name, np.array([0.1, -1.0, 3.0]))
+            apply(result, name, np.array([0.1, -1.0, 3.0]))
 
-    return Format(".json", make, use)
+    return Format(".json", draw, read)
 
 
-def _result_texts() -> list[str]:
-    made = [
+def _make_result_texts() -> list[str]:
+    texts = [
         results.make_qx_result().to_json(),
         results.make_qx_result(serial_number=None).to_json(),
     ]
-    dated = json.loads(made[0])
+    dated = json.loads(texts[0])
     dated["details"] = {"date": "2026-03-01", "serial_number": "C-7"}
-    frozen = [
+    frozen_trees = [
         json.loads(path.read_text("utf-8"))
         for path in (ROOT / "tests/frozen").glob("schema-*.json")
     ]
-    for tree in frozen:  # their traces are long, and all of one kind
-        for part in tree["accelerometers"].values():
-            part["traces"] = dict(list(part.get("traces", {}).items())[:0])
-    return [*made, json.dumps(dated), *map(json.dumps, frozen)]
+    for tree in frozen_trees:  # remove the traces, which are long and uniform
+        for accelerometer in tree["accelerometers"].values():
+            accelerometer["traces"] = dict(list(accelerometer.get("traces", {}).items())[:0])
+    return [*texts, json.dumps(dated), *map(json.dumps, frozen_trees)]
 
 
-def history_folder(place: Path) -> Format:
-    """Return a file of a folder with results, for the command."""
-    inside = place / "results"
-    inside.mkdir()
-    results.make_qx_result().write(inside / "good.json")
-    made = result_file(place).make
+def history_format(folder: Path) -> Format:
+    """Return the format of results in a folder, for the history command."""
+    results_folder = folder / "results"
+    results_folder.mkdir()
+    results.make_qx_result().write(results_folder / "good.json")
+    draw = result_format(folder).draw
     names = ["b.json", ".b.json", "c.JSON", "n\x1b[31m.json", "sub.json", "\u202egood.json"]
 
-    def use(path: Path) -> None:
+    def read(path: Path) -> None:
         content = path.read_bytes()
-        other = inside / names[len(content) % len(names)]
-        other.write_bytes(content)
+        mutated_file = results_folder / names[len(content) % len(names)]
+        mutated_file.write_bytes(content)
         try:
-            command("history", inside)
+            run_command("history", results_folder)
         finally:
-            other.unlink()
+            mutated_file.unlink()
 
-    return Format(".json", made, use)
+    return Format(".json", draw, read)
 
 
-def certificate_file(place: Path) -> Format:
-    """Return a certificate's XML."""
-    whole = certificates.make_document(place, results.make_qx_result())
-    root = etree.fromstring(whole)
+def certificate_format(folder: Path) -> Format:
+    """Return the format of certificate XML files."""
+    xml = certificates.make_document(folder, results.make_qx_result())
+    root = etree.fromstring(xml)
 
-    def make(rng: Random) -> bytes:
-        kind = rng.random()
-        if kind < 0.7:
+    def draw(rng: Random) -> bytes:
+        choice = rng.random()
+        if choice < 0.7:
             return mutate_xml(rng, root)
-        if kind < 0.9:
-            return mutate_text(rng, whole.decode()).encode("utf-8", "replace")
-        return mutate_bytes(rng, whole)
+        if choice < 0.9:
+            return mutate_text(rng, xml.decode()).encode("utf-8", "replace")
+        return mutate_bytes(rng, xml)
 
-    return Format(".xml", make, check_certificate)
+    return Format(".xml", draw, check_certificate)
 
 
-def signed_certificate(place: Path) -> Format:
-    """Return a signed certificate's XML, verified."""
-    key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
-    given = results.make_qx_result()
-    lab_read = certificates.read_lab_for(place, given)
-    plain = build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7")
-    whole = serialize_document(sign_document(plain, read_signer(key, cert)))
-    root = etree.fromstring(whole)
+def signed_certificate_format(folder: Path) -> Format:
+    """Return the format of signed certificate XML files, which are verified."""
+    key, cert = signing_keys.write_pair(folder / "k", ec.generate_private_key(ec.SECP256R1()))
+    result = results.make_qx_result()
+    lab = certificates.read_lab_for(folder, result)
+    unsigned = build_document(result, lab, certificates.ISSUE, {}, b"%PDF-1.7")
+    xml = serialize_document(sign_document(unsigned, read_signer(key, cert)))
+    root = etree.fromstring(xml)
 
-    def make(rng: Random) -> bytes:
-        kind = rng.random()
-        if kind < 0.4:
+    def draw(rng: Random) -> bytes:
+        choice = rng.random()
+        if choice < 0.4:
             return mutate_xml(rng, root)
-        if kind < 0.7:  # the signature alone, which is the last element
-            changed = etree.fromstring(whole)
-            changed[-1] = etree.fromstring(mutate_xml(rng, root[-1]))
-            return etree.tostring(changed)
-        return mutate_text(rng, whole.decode()).encode("utf-8", "replace")
+        if choice < 0.7:  # only the signature, which is the last element
+            mutated = etree.fromstring(xml)
+            mutated[-1] = etree.fromstring(mutate_xml(rng, root[-1]))
+            return etree.tostring(mutated)
+        return mutate_text(rng, xml.decode()).encode("utf-8", "replace")
 
-    true = repr(check_certificate(_written(place, whole), signer_certificate=cert).numbers)
+    signed_numbers = repr(
+        check_certificate(_write_certificate(folder, xml), signer_certificate=cert).numbers
+    )
 
-    def use(path: Path) -> None:
-        # What passes for signed has the numbers that were signed.
-        assert repr(check_certificate(path, signer_certificate=cert).numbers) == true
+    def read(path: Path) -> None:
+        # A file with a valid signature contains the signed numbers.
+        assert repr(check_certificate(path, signer_certificate=cert).numbers) == signed_numbers
 
-    return Format(".xml", make, use)
+    return Format(".xml", draw, read)
 
 
-def _written(place: Path, content: bytes) -> Path:
-    path = place / "whole.xml"
+def _write_certificate(folder: Path, content: bytes) -> Path:
+    path = folder / "whole.xml"
     path.write_bytes(content)
     return path
 
 
-def certificate_pdf(place: Path) -> Format:
-    """Return a certificate's PDF."""
+def certificate_pdf_format(folder: Path) -> Format:
+    """Return the format of certificate PDF files."""
     writer = pypdf.PdfWriter()
     writer.add_blank_page(100, 100)
-    writer.add_attachment("c.xml", certificates.make_document(place, results.make_qx_result()))
+    writer.add_attachment("c.xml", certificates.make_document(folder, results.make_qx_result()))
     file = io.BytesIO()
     writer.write(file)
-    small = file.getvalue()
-    made = (ROOT / "docs/examples/three-rate/certificate.pdf").read_bytes()
+    small_pdf = file.getvalue()
+    example_pdf = (ROOT / "docs/examples/three-rate/certificate.pdf").read_bytes()
 
-    def make(rng: Random) -> bytes:
+    def draw(rng: Random) -> bytes:
         if rng.random() < 0.6:
-            return native.damaged(rng, small, None)
-        end = len(made)
-        return native.damaged(rng, made, rng.choice(((end - 9000, end), (0, end))))
+            return native.damage(rng, small_pdf, None)
+        end = len(example_pdf)
+        return native.damage(rng, example_pdf, rng.choice(((end - 9000, end), (0, end))))
 
-    return Format(".pdf", make, check_certificate)
+    return Format(".pdf", draw, check_certificate)
 
 
-def signed_pdf(place: Path) -> Format:
-    """Return a certificate's PDF whose XML and pages are signed, verified."""
-    key, cert = signing_keys.write_pair(place / "k", ec.generate_private_key(ec.SECP256R1()))
-    signer, given = read_signer(key, cert), results.make_qx_result()
-    lab_read = certificates.read_lab_for(place, given)
+def signed_pdf_format(folder: Path) -> Format:
+    """Return the format of certificate PDF files with signed XML and pages, which are verified."""
+    key, cert = signing_keys.write_pair(folder / "k", ec.generate_private_key(ec.SECP256R1()))
+    signer, result = read_signer(key, cert), results.make_qx_result()
+    lab = certificates.read_lab_for(folder, result)
     xml = serialize_document(
-        sign_document(build_document(given, lab_read, certificates.ISSUE, {}, b"%PDF-1.7"), signer)
+        sign_document(build_document(result, lab, certificates.ISSUE, {}, b"%PDF-1.7"), signer)
     )
     writer = pypdf.PdfWriter()
     writer.add_blank_page(100, 100)
@@ -377,26 +388,28 @@ def signed_pdf(place: Path) -> Format:
     writer.generate_file_identifiers()
     file = io.BytesIO()
     writer.write(file)
-    plain = file.getvalue()
-    whole = sign_pages(plain, signer, certificates.ISSUE.date)
-    begin = whole.index(b"/Contents <", len(plain)) + 11
-    end = whole.index(b">", begin)
-    (place / "whole.pdf").write_bytes(whole)
-    true = repr(check_certificate(place / "whole.pdf", signer_certificate=cert).numbers)
+    unsigned_pdf = file.getvalue()
+    signed_pdf = sign_pages(unsigned_pdf, signer, certificates.ISSUE.date)
+    signature_start = signed_pdf.index(b"/Contents <", len(unsigned_pdf)) + 11
+    signature_end = signed_pdf.index(b">", signature_start)
+    (folder / "whole.pdf").write_bytes(signed_pdf)
+    signed_numbers = repr(check_certificate(folder / "whole.pdf", signer_certificate=cert).numbers)
 
-    def make(rng: Random) -> bytes:
-        where = rng.choice((None, (len(plain), len(whole)), (begin, end)))
-        return native.damaged(rng, whole, where)
+    def draw(rng: Random) -> bytes:
+        byte_range = rng.choice(
+            (None, (len(unsigned_pdf), len(signed_pdf)), (signature_start, signature_end))
+        )
+        return native.damage(rng, signed_pdf, byte_range)
 
-    def use(path: Path) -> None:
-        found, content = check_certificate(path, signer_certificate=cert), path.read_bytes()
-        assert repr(found.numbers) == true
-        if found.pages == "valid":
-            # Not a byte differs but those of the signature itself.
-            assert content[:begin] == whole[:begin]
-            assert content[end:] == whole[end:]
+    def read(path: Path) -> None:
+        check, content = check_certificate(path, signer_certificate=cert), path.read_bytes()
+        assert repr(check.numbers) == signed_numbers
+        if check.pages == "valid":
+            # All bytes except the signature itself are unchanged.
+            assert content[:signature_start] == signed_pdf[:signature_start]
+            assert content[signature_end:] == signed_pdf[signature_end:]
 
-    return Format(".pdf", make, use)
+    return Format(".pdf", draw, read)
 
 
 # Tables
@@ -411,7 +424,7 @@ _READING_CAMPAIGN = "".join(
     )
 )
 
-#: Makes the paper's plan a study.
+#: Section that turns the paper's plan into a study.
 STUDY = """
 [study]
 seed = 3
@@ -423,7 +436,7 @@ sigma = "residuals"
 _READING_COLUMNS = ("name", "motion", "rate", "attitude", "reading", "u", "temperature", "time")
 
 
-def _reading_rows() -> list[list[str]]:
+def _make_reading_rows() -> list[list[str]]:
     rows = [["name", "motion", "rate", "deg", "mA", "u", "degC", "s"]]
     for i in range(12):
         value = 1.25 * math.cos(math.radians(30 * i))
@@ -442,194 +455,199 @@ def _reading_rows() -> list[list[str]]:
     return rows
 
 
-def readings_campaign(place: Path, suffix: str) -> Callable[[Path], object]:
-    """Return what reads a table of readings: the campaign that names it."""
+def make_readings_reader(folder: Path, suffix: str) -> Callable[[Path], object]:
+    """Write a campaign that names a table of readings; return the function that reads it."""
     columns = ", ".join(
-        f'{key} = "{name}"' for key, name in zip(_READING_COLUMNS, _reading_rows()[0], strict=True)
+        f'{key} = "{name}"'
+        for key, name in zip(_READING_COLUMNS, _make_reading_rows()[0], strict=True)
     )
     head = _READING_CAMPAIGN.partition("[[runs]]")[0]
     text = f'{head}[readings]\nfile = "case{suffix}"\ncolumns = {{ {columns} }}\n'
-    (place / "campaign.toml").write_text(text, encoding="utf-8")
+    (folder / "campaign.toml").write_text(text, encoding="utf-8")
 
-    def use(_: Path) -> None:
-        read_campaign(place)
-        command("calibrate", place)
+    def read(_: Path) -> None:
+        read_campaign(folder)
+        run_command("calibrate", folder)
 
-    return use
-
-
-def readings_csv(place: Path) -> Format:
-    """Return a table of readings as CSV."""
-    rows = _reading_rows()
-    use = readings_campaign(place, ".csv")
-    return Format(".csv", lambda rng: mutate_table(rng, rows), use)
+    return read
 
 
-def readings_parquet(place: Path) -> Format:
-    """Return a table of readings as Parquet."""
-    rows = _reading_rows()
-    use = readings_campaign(place, ".parquet")
-    return Format(".parquet", lambda rng: native.readings(rng, rows), use)
+def readings_csv_format(folder: Path) -> Format:
+    """Return the format of CSV tables of readings."""
+    rows = _make_reading_rows()
+    read = make_readings_reader(folder, ".csv")
+    return Format(".csv", lambda rng: mutate_table(rng, rows), read)
 
 
-def readings_excel(place: Path) -> Format:
-    """Return a table of readings as Excel writes it."""
-    rows = _reading_rows()
-    use = readings_campaign(place, ".xlsx")
-    return Format(".xlsx", lambda rng: native.workbook(rng, rows), use)
+def readings_parquet_format(folder: Path) -> Format:
+    """Return the format of Parquet tables of readings."""
+    rows = _make_reading_rows()
+    read = make_readings_reader(folder, ".parquet")
+    return Format(".parquet", lambda rng: native.draw_readings(rng, rows), read)
 
 
-def record_csv(place: Path) -> Format:
-    """Return a record as CSV."""
+def readings_excel_format(folder: Path) -> Format:
+    """Return the format of Excel tables of readings."""
+    rows = _make_reading_rows()
+    read = make_readings_reader(folder, ".xlsx")
+    return Format(".xlsx", lambda rng: native.draw_workbook(rng, rows), read)
+
+
+def record_csv_format(folder: Path) -> Format:
+    """Return the format of CSV records."""
     rows = [
         line.split(",") for line in record_files.format_lines(record_files.simulate_columns(n=330))
     ]
     return Format(".csv", lambda rng: mutate_table(rng, rows), read_record)
 
 
-def record_export(place: Path) -> Format:
-    """Return a record as a recorder exports it: lines before the names, commas in numbers."""
+def record_export_format(folder: Path) -> Format:
+    """Return the format of recorder exports: with a preamble and decimal commas."""
     rows = [
         line.split(",") for line in record_files.format_lines(record_files.simulate_columns(n=330))
     ]
     commas = bytes.maketrans(b",.", b";,")
 
-    def make(rng: Random) -> bytes:
-        about = rng.choice(("", "Messung\tä\n", "a;1\n\n", "s;rad;m\n")).encode("latin-1")
-        content = about + mutate_table(rng, rows).translate(commas)
+    def draw(rng: Random) -> bytes:
+        preamble = rng.choice(("", "Messung\tä\n", "a;1\n\n", "s;rad;m\n")).encode("latin-1")
+        content = preamble + mutate_table(rng, rows).translate(commas)
         return mutate_bytes(rng, content) if rng.random() < 0.3 else content
 
-    def use(path: Path) -> None:
+    def read(path: Path) -> None:
         guess_file(read_contents(path))
         read_record(path)
 
-    return Format(".csv", make, use)
+    return Format(".csv", draw, read)
 
 
 def read_record(path: Path) -> None:
-    """Read a record as a calibration does, and as a table."""
-    failed = None
+    """Read a record as in a calibration, and some records also as a table."""
+    record_error = None
     try:
         record_files.read_written_record(path)
     except RecordError as error:
-        failed = error
-    if len(path.read_bytes()) % 4 == 0:  # some of them, in the two other ways
+        record_error = error
+    if len(path.read_bytes()) % 4 == 0:
         read_table(path)
         read_numbers(path, [record_files.TIME, record_files.SIGNAL])
-    if failed is not None:
-        raise failed
+    if record_error is not None:
+        raise record_error
 
 
-def record_excel(place: Path) -> Format:
-    """Return a record as Excel writes it."""
+def record_excel_format(folder: Path) -> Format:
+    """Return the format of Excel records."""
     rows = [
         line.split(",") for line in record_files.format_lines(record_files.simulate_columns(n=330))
     ]
-    return Format(".xlsx", lambda rng: native.workbook(rng, rows), read_record)
+    return Format(".xlsx", lambda rng: native.draw_workbook(rng, rows), read_record)
 
 
-def _native(suffix: str, make: Callable[[Random], bytes]) -> Callable[[Path], Format]:
-    return lambda place: Format(suffix, make, read_record)
+def _native_record_format(suffix: str, draw: Callable[[Random], bytes]) -> Callable[[Path], Format]:
+    return lambda folder: Format(suffix, draw, read_record)
 
 
-# A study's folder
+# Folder of a study
 
 
-def study_progress(place: Path) -> Format:
-    """Return what a begun study has kept, resumed."""
-    (place / "campaign.toml").write_text(
+def study_progress_format(folder: Path) -> Format:
+    """Return the format of the saved progress of a study, which is resumed."""
+    (folder / "campaign.toml").write_text(
         resource_text("reproduction", "paper.toml") + STUDY, encoding="utf-8"
     )
-    out = place / "out"
-    begun = {}
+    out = folder / "out"
+    saved_files = {}
 
-    def stop(done: int, _: int) -> None:
-        if done:
+    def stop(n_done: int, _: int) -> None:
+        if n_done:
             raise KeyboardInterrupt
 
     from counterspin.studies import batch_runner
     from counterspin.studies.folder import StudyFolder
 
-    before, batch_runner._TASK_DURATION = batch_runner._TASK_DURATION, 0.0
-    study(place, trials=20_000, output=StudyFolder(out, keep_trials=True), progress=stop)
-    batch_runner._TASK_DURATION = before
+    task_duration, batch_runner._TASK_DURATION = batch_runner._TASK_DURATION, 0.0
+    study(folder, trials=20_000, output=StudyFolder(out, keep_trials=True), progress=stop)
+    batch_runner._TASK_DURATION = task_duration
     for file in out.rglob("*"):
         if file.is_file():
-            begun[file.relative_to(out)] = file.read_bytes()
-    whole = begun[Path("progress.npz")]
+            saved_files[file.relative_to(out)] = file.read_bytes()
+    archive = saved_files[Path("progress.npz")]
 
-    def use(path: Path) -> None:
+    def read(path: Path) -> None:
         shutil.rmtree(out)
-        for name, content in begun.items():
+        for name, content in saved_files.items():
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             (out / name).write_bytes(content)
         content = path.read_bytes()
-        parts = [name for name in begun if name.parent.name == "progress"]
-        target = Path("progress.npz") if len(content) % 2 or not parts else parts[0]
+        progress_files = [name for name in saved_files if name.parent.name == "progress"]
+        target = (
+            Path("progress.npz") if len(content) % 2 or not progress_files else progress_files[0]
+        )
         (out / target).write_bytes(content)
-        command("study", place, "--trials", "20000", "-o", out, "--resume", "--keep-trials")
+        run_command("study", folder, "--trials", "20000", "-o", out, "--resume", "--keep-trials")
 
-    def make(rng: Random) -> bytes:
-        return native.numpy_archive(rng, whole)
+    def draw(rng: Random) -> bytes:
+        return native.draw_numpy_archive(rng, archive)
 
-    return Format(".npz", make, use)
+    return Format(".npz", draw, read)
 
 
 @dataclass(frozen=True)
-class Entry:
+class FormatEntry:
     """A row of the table of formats.
 
     Attributes
     ----------
-    begin
-        Makes the format, with the files that it needs beside it in a folder of its own.
+    make
+        Function that makes the format, and writes the other files that it needs into a folder.
     share
-        How many of its cases are tried among those of all formats of its kind.
+        Relative frequency of its cases, among formats with the same `native`.
     native
-        Whether native code reads it, in the reader's process.
+        Whether native code reads it.
     """
 
-    begin: Callable[[Path], Format]
+    make: Callable[[Path], Format]
     share: float = 1.0
     native: bool = False
 
 
-FORMATS: dict[str, Entry] = {
-    "campaign": Entry(campaign, 3.0),
-    "campaign-long": Entry(long_campaign, 0.02),
-    "calibration": Entry(calibration, 0.03),
-    "plan": Entry(plan),
-    "reading-plan": Entry(reading_plan),
-    "study": Entry(study_file),
-    "sizes": Entry(sizes, 0.02),
-    "study-progress": Entry(study_progress, 0.002),
-    "lab": Entry(lab, 1.5),
-    "result": Entry(result_file, 3.0),
-    "history": Entry(history_folder, 0.1),
-    "certificate": Entry(certificate_file),
-    "certificate-signed": Entry(signed_certificate, 0.2),
-    "readings-csv": Entry(readings_csv),
-    "record-csv": Entry(record_csv, 0.6),
-    "record-export": Entry(record_export, 0.4),
-    "requests": Entry(requests.application, 0.3),
-    "connections": Entry(connections.connections, 0.1),
-    "certificate-pdf": Entry(certificate_pdf, 0.5, native=True),
-    "certificate-pdf-signed": Entry(signed_pdf, 0.2, native=True),
-    "readings-parquet": Entry(readings_parquet, native=True),
-    "readings-excel": Entry(readings_excel, native=True),
-    "record-parquet": Entry(_native(".parquet", native.parquet), 3.0, native=True),
-    "record-mat5": Entry(_native(".mat", native.mat5), native=True),
-    "record-mat73": Entry(_native(".mat", native.mat73), native=True),
-    "record-hdf5": Entry(_native(".h5", native.hdf5), native=True),
-    "record-tdms": Entry(_native(".tdms", native.tdms), native=True),
-    "record-excel": Entry(record_excel, 0.5, native=True),
+FORMATS: dict[str, FormatEntry] = {
+    "campaign": FormatEntry(campaign_format, 3.0),
+    "campaign-long": FormatEntry(long_campaign_format, 0.02),
+    "calibration": FormatEntry(calibration_format, 0.03),
+    "plan": FormatEntry(plan_format),
+    "reading-plan": FormatEntry(reading_plan_format),
+    "study": FormatEntry(study_format),
+    "sizes": FormatEntry(sizes_format, 0.02),
+    "study-progress": FormatEntry(study_progress_format, 0.002),
+    "lab": FormatEntry(lab_format, 1.5),
+    "result": FormatEntry(result_format, 3.0),
+    "history": FormatEntry(history_format, 0.1),
+    "certificate": FormatEntry(certificate_format),
+    "certificate-signed": FormatEntry(signed_certificate_format, 0.2),
+    "readings-csv": FormatEntry(readings_csv_format),
+    "record-csv": FormatEntry(record_csv_format, 0.6),
+    "record-export": FormatEntry(record_export_format, 0.4),
+    "requests": FormatEntry(requests.requests_format, 0.3),
+    "connections": FormatEntry(connections.connections_format, 0.1),
+    "certificate-pdf": FormatEntry(certificate_pdf_format, 0.5, native=True),
+    "certificate-pdf-signed": FormatEntry(signed_pdf_format, 0.2, native=True),
+    "readings-parquet": FormatEntry(readings_parquet_format, native=True),
+    "readings-excel": FormatEntry(readings_excel_format, native=True),
+    "record-parquet": FormatEntry(
+        _native_record_format(".parquet", native.draw_parquet), 3.0, native=True
+    ),
+    "record-mat5": FormatEntry(_native_record_format(".mat", native.draw_mat5), native=True),
+    "record-mat73": FormatEntry(_native_record_format(".mat", native.draw_mat73), native=True),
+    "record-hdf5": FormatEntry(_native_record_format(".h5", native.draw_hdf5), native=True),
+    "record-tdms": FormatEntry(_native_record_format(".tdms", native.draw_tdms), native=True),
+    "record-excel": FormatEntry(record_excel_format, 0.5, native=True),
 }
 
 
-def formats(place: Path, names: Sequence[str] = tuple(FORMATS)) -> dict[str, Format]:
-    """Return formats by name, each with a folder of its own below `place`."""
-    made = {}
+def make_formats(folder: Path, names: Sequence[str] = tuple(FORMATS)) -> dict[str, Format]:
+    """Return name -> format; each format has its own subfolder of `folder`."""
+    formats = {}
     for name in names:
-        (place / name).mkdir(parents=True)
-        made[name] = FORMATS[name].begin(place / name)
-    return made
+        (folder / name).mkdir(parents=True)
+        formats[name] = FORMATS[name].make(folder / name)
+    return formats

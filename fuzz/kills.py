@@ -1,14 +1,13 @@
-"""Processes killed at the system calls that have to do with an output: nothing may be lost.
+"""Kill commands at each system call on an output, and check that no data is lost.
 
-A command is killed with SIGKILL before its n-th such call. Then every input must be unchanged,
-every output as it is without a kill, or absent, and every other file that lies there hidden, as
-what is not finished is. What was begun must go on, where the command can. A certificate that stands
-is in its ledger.
+A command is killed with SIGKILL before its n-th such call. Afterwards, every input must be
+unchanged, every output complete or absent, and every unfinished file hidden. A command that can
+resume must then finish. A written certificate must be in its ledger.
 
-- `Command`: what is run, with which files, and how it goes on afterwards
-- `COMMANDS`: all that write; `write_inputs`: what they need
-- `Trial`: the kills of one command
-- `kill_all`: many kills, spread over all commands and all calls
+- `Command`: arguments, inputs, and arguments that resume the command
+- `COMMANDS`: all commands that write; `write_inputs`: write their inputs
+- `Trial`: kills of one command
+- `kill_all`: many kills, distributed over all commands and calls
 """
 
 from __future__ import annotations
@@ -34,30 +33,30 @@ from fuzz.tracing import Runner
 
 @dataclass(frozen=True)
 class Command:
-    """What is run and what it writes.
+    """A command that writes files.
 
     Attributes
     ----------
-    words
-        Of the command line.
-    needs
-        The files and folders that it reads.
-    again
-        Words that make it go on, or do it again, where a kill has left something; None: the same.
+    arguments
+        Arguments of the command line.
+    inputs
+        Names of the files and folders that it reads.
+    resume_arguments
+        Arguments that resume or repeat the command after a kill; None: the same arguments.
     """
 
-    words: tuple[str, ...]
-    needs: tuple[str, ...] = ()
-    again: tuple[str, ...] | None = None
+    arguments: tuple[str, ...]
+    inputs: tuple[str, ...] = ()
+    resume_arguments: tuple[str, ...] | None = None
 
 
-#: Trials of the study: of several parts.
-_TRIALS = "24000"
+#: Number of trials of the study, enough for several batches.
+_N_TRIALS = "24000"
 
 _RESULT = "result.json"
 _APPLY = ("apply", _RESULT, "forces.csv", "--accelerometer", "Qx", "-o", "corrected.csv")
-_MADE = ("simulate", "campaign", "-o", "made")
-_STUDY = ("study", "study.toml", "--trials", _TRIALS, "-o", "out", "--keep-trials")
+_SIMULATE = ("simulate", "campaign", "-o", "made")
+_STUDY = ("study", "study.toml", "--trials", _N_TRIALS, "-o", "out", "--keep-trials")
 _PLAN_JSON = ("plan", "plan.toml", "--json", "new.json")
 _LEDGER = "ledger.jsonl"
 _ISSUE = ("certificate", _RESULT, "LAB.toml", "-o")
@@ -68,7 +67,7 @@ COMMANDS = {
     "report": Command(("report", _RESULT, "-o", "new.html"), (_RESULT,)),
     "report-md": Command(("report", _RESULT, "-o", "new.md"), (_RESULT,)),
     "report-pdf": Command(("report", _RESULT, "-o", "new.pdf"), (_RESULT,)),
-    "simulate": Command(_MADE, ("campaign",), (*_MADE, "--overwrite")),
+    "simulate": Command(_SIMULATE, ("campaign",), (*_SIMULATE, "--overwrite")),
     "apply": Command(_APPLY, (_RESULT, "forces.csv")),
     "certificate": Command((*_ISSUE, "new.xml"), (_RESULT, "LAB.toml")),
     "certificate-pdf": Command((*_ISSUE, "new.pdf"), (_RESULT, "LAB.toml")),
@@ -86,22 +85,24 @@ COMMANDS = {
 
 
 def write_inputs(folder: Path, names: Iterable[str]) -> None:
-    """Write what commands need into a folder."""
-    for name in sorted({need for command in names for need in COMMANDS[command].needs}):
+    """Write the inputs of commands into a folder."""
+    for name in sorted(
+        {input_name for command in names for input_name in COMMANDS[command].inputs}
+    ):
         _INPUTS[name](folder / name)
 
 
 def _write_campaign(path: Path) -> None:
     path.mkdir()
-    short = replace_parts(SMALL, ("revolutions = 20", "revolutions = 8"))
-    (path / "campaign.toml").write_text(short, encoding="utf-8")
+    short_campaign = replace_parts(SMALL, ("revolutions = 20", "revolutions = 8"))
+    (path / "campaign.toml").write_text(short_campaign, encoding="utf-8")
 
 
 def _write_records(path: Path) -> None:
     from counterspin.simulation.simulate import simulate
 
-    with tempfile.TemporaryDirectory() as place:
-        source = Path(place) / "campaign"
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "campaign"
         _write_campaign(source)
         simulate(source, path)
 
@@ -117,8 +118,8 @@ def _write_forces(path: Path) -> None:
 
 
 def _write_plan(path: Path) -> None:
-    short = replace_parts(resource_text("planning"), ("runs = 14", "runs = 2"))
-    path.write_text(short, encoding="utf-8")
+    short_plan = replace_parts(resource_text("planning"), ("runs = 14", "runs = 2"))
+    path.write_text(short_plan, encoding="utf-8")
 
 
 def _write_study(path: Path) -> None:
@@ -136,7 +137,7 @@ _INPUTS: dict[str, Callable[[Path], object]] = {
 }
 
 
-def _files(folder: Path) -> dict[str, bytes]:
+def _read_files(folder: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
@@ -144,133 +145,141 @@ def _files(folder: Path) -> dict[str, bytes]:
     }
 
 
-#: Files in a study's folder that a resumption needs, and which are gone when it is done.
-_PROGRESS = ("out/progress",)
+#: Files in the folder of a study that are needed to resume it, and removed at its end.
+_PROGRESS_FILES = ("out/progress",)
 
 
 class Trial:
-    """One command with its inputs, as it ends without a kill; AssertionError if it fails.
+    """Kills of one command; the constructor runs it once, and raises AssertionError if it fails.
 
     Attributes
     ----------
-    calls
-        How many calls it makes that have to do with its outputs.
+    n_calls
+        Number of its system calls on outputs.
     """
 
     def __init__(
-        self, runner: Runner, name: str, command: Command, inputs: Path, place: Path
+        self, runner: Runner, name: str, command: Command, inputs: Path, parent: Path
     ) -> None:
         self.name, self._runner, self._command = name, runner, command
-        self._inputs, self._folder = inputs, place / name
-        self._before = _files(self._fresh())
-        ended = runner.count(command.words, self._folder)
-        if ended.status != 0:
-            raise AssertionError(f"{name} ended with status {ended.status}")
-        self.calls = ended.calls
-        self._after = _files(self._folder)
+        self._inputs, self._folder = inputs, parent / name
+        self._input_files = _read_files(self._reset_folder())
+        result = runner.count_calls(command.arguments, self._folder)
+        if result.status != 0:
+            raise AssertionError(f"{name} ended with status {result.status}")
+        self.n_calls = result.n_calls
+        self._expected_files = _read_files(self._folder)
 
-    def _fresh(self) -> Path:
+    def _reset_folder(self) -> Path:
         shutil.rmtree(self._folder, ignore_errors=True)
         self._folder.mkdir()
-        for name in self._command.needs:
+        for name in self._command.inputs:
             source, target = self._inputs / name, self._folder / name
             (shutil.copytree if source.is_dir() else shutil.copyfile)(source, target)
         return self._folder
 
-    def faults(self, call: int) -> list[str]:
-        """Return what a kill before a call has lost or spoilt."""
-        folder = self._fresh()
-        if not self._runner.kill(self._command.words, folder, call):
+    def find_faults(self, call: int) -> list[str]:
+        """Kill the command before a call; return descriptions of lost or damaged data."""
+        folder = self._reset_folder()
+        if not self._runner.kill(self._command.arguments, folder, call):
             return [f"{self.name}: ended before call {call}"]
-        where = f"{self.name}, killed before call {call} of {self.calls}"
-        there = _files(folder)
-        faults = [f"{where}: {fault}" for fault in self._wrong(there)]
-        again = self._command.again or self._command.words
-        unfinished = there.keys() - self._before.keys() - {_LEDGER}
-        if any(not _hidden_files(name) for name in unfinished) and self._command.again is None:
-            return faults  # the output is there, and whole
+        location = f"{self.name}, killed before call {call} of {self.n_calls}"
+        files = _read_files(folder)
+        faults = [f"{location}: {fault}" for fault in self._find_file_faults(files)]
+        arguments = self._command.resume_arguments or self._command.arguments
+        unfinished = files.keys() - self._input_files.keys() - {_LEDGER}
+        if (
+            any(not _is_hidden(name) for name in unfinished)
+            and self._command.resume_arguments is None
+        ):
+            return faults  # the output is complete
         if self.name == "study" and "out/progress.npz" not in unfinished:
-            again = self._command.words  # nothing was done yet, or all
-            again += ("--overwrite",) if "out/study.json" in unfinished else ()
-        if (status := self._runner.run(again, folder).status) != 0:
-            return [*faults, f"{where}: does not go on (status {status})"]
-        ended = {
-            name: content for name, content in _files(folder).items() if not _hidden_files(name)
+            arguments = self._command.arguments  # no trial is saved, or all are finished
+            arguments += ("--overwrite",) if "out/study.json" in unfinished else ()
+        if (status := self._runner.run(arguments, folder).status) != 0:
+            return [*faults, f"{location}: cannot be resumed (status {status})"]
+        final_files = {
+            name: content for name, content in _read_files(folder).items() if not _is_hidden(name)
         }
-        if ended != self._after:
+        if final_files != self._expected_files:
             differing = [
-                n for n in ended.keys() | self._after.keys() if ended.get(n) != self._after.get(n)
+                n
+                for n in final_files.keys() | self._expected_files.keys()
+                if final_files.get(n) != self._expected_files.get(n)
             ]
-            faults.append(f"{where}: gone on, another end: {', '.join(sorted(differing))}")
+            faults.append(f"{location}: resumed, but differs: {', '.join(sorted(differing))}")
         return faults
 
-    def _wrong(self, there: dict[str, bytes]) -> list[str]:
+    def _find_file_faults(self, files: dict[str, bytes]) -> list[str]:
         faults = [
             f"{name} is lost or changed"
-            for name, content in self._before.items()
-            if there.get(name) != content
+            for name, content in self._input_files.items()
+            if files.get(name) != content
         ]
-        if "new.xml" in there and self._command.words[-1] == _LEDGER:
-            entered = verify_ledger(self._folder / _LEDGER).entries
-            if sha256_hex(there["new.xml"]) not in {e.of.get("file_sha256") for e in entered}:
-                faults.append("new.xml stands outside its ledger")
+        if "new.xml" in files and self._command.arguments[-1] == _LEDGER:
+            entries = verify_ledger(self._folder / _LEDGER).entries
+            if sha256_hex(files["new.xml"]) not in {e.of.get("file_sha256") for e in entries}:
+                faults.append("new.xml is not in its ledger")
         return faults + [
             f"{name} is not whole"
-            for name in there.keys() - self._before.keys()
-            if not (_hidden_files(name) or name.startswith((*_PROGRESS, _LEDGER)))
-            and there[name] != self._after.get(name)
+            for name in files.keys() - self._input_files.keys()
+            if not (_is_hidden(name) or name.startswith((*_PROGRESS_FILES, _LEDGER)))
+            and files[name] != self._expected_files.get(name)
         ]
 
 
-def _hidden_files(name: str) -> bool:
+def _is_hidden(name: str) -> bool:
     return Path(name).name.startswith(".")
 
 
 def kill_all(
-    kills: int, names: Sequence[str] = (), say: Callable[[str], object] = str
+    n_kills: int, names: Sequence[str] = (), report: Callable[[str], object] = str
 ) -> tuple[int, list[str]]:
-    """Kill commands at calls spread over all of them.
+    """Kill commands at calls distributed over all of them.
 
     Parameters
     ----------
-    kills
-        How many; one more or less for a command, by rounding.
+    n_kills
+        Number of kills, up to rounding.
     names
-        Of the commands; all if none is named.
-    say
-        Is told how far it has come, and each fault.
+        Names of the commands; default: all.
+    report
+        Function called with each progress message and fault.
 
     Returns
     -------
     int, list
-        How many kills there were, and what was lost or spoilt.
+        Number of kills, and descriptions of lost or damaged data.
     """
     faults: list[str] = []
-    done = 0
-    with tempfile.TemporaryDirectory(dir=_memory()) as place, Runner() as runner:
-        inputs = Path(place) / "inputs"
+    n_done = 0
+    with tempfile.TemporaryDirectory(dir=_memory_folder()) as folder, Runner() as runner:
+        inputs = Path(folder) / "inputs"
         inputs.mkdir()
         write_inputs(inputs, names or COMMANDS)
         trials = []
         for name in names or COMMANDS:
-            trials.append(Trial(runner, name, COMMANDS[name], inputs, Path(place)))
-            say(f"{name}: {trials[-1].calls} calls")
-        for index, trial in enumerate(sorted(trials, key=lambda trial: trial.calls)):
-            # Those with few calls are killed at each of them.
-            share = min(trial.calls, -(-(kills - done) // (len(trials) - index)))
-            calls = np.unique(np.linspace(1, trial.calls, share).round().astype(int))
-            began = time.monotonic()
+            trials.append(Trial(runner, name, COMMANDS[name], inputs, Path(folder)))
+            report(f"{name}: {trials[-1].n_calls} calls")
+        for n_finished, trial in enumerate(sorted(trials, key=lambda trial: trial.n_calls)):
+            # Commands with few calls are killed at every call.
+            n_calls = min(trial.n_calls, -(-(n_kills - n_done) // (len(trials) - n_finished)))
+            calls = np.unique(np.linspace(1, trial.n_calls, n_calls).round().astype(int))
+            start = time.monotonic()
             for call in calls:
-                found = trial.faults(int(call))
-                faults += found
-                for fault in found:
-                    say(fault)
-            done += len(calls)
-            each = (time.monotonic() - began) / max(len(calls), 1)
-            say(f"{trial.name:<18}{len(calls):>5} of {trial.calls} calls, {each:.2f} s each")
-    return done, faults
+                call_faults = trial.find_faults(int(call))
+                faults += call_faults
+                for fault in call_faults:
+                    report(fault)
+            n_done += len(calls)
+            seconds_per_kill = (time.monotonic() - start) / max(len(calls), 1)
+            report(
+                f"{trial.name:<18}{len(calls):>5} of {trial.n_calls} calls, "
+                f"{seconds_per_kill:.2f} s each"
+            )
+    return n_done, faults
 
 
-def _memory() -> Path | None:
-    place = Path("/dev/shm")
-    return place if os.access(place, os.W_OK) else None
+def _memory_folder() -> Path | None:
+    folder = Path("/dev/shm")
+    return folder if os.access(folder, os.W_OK) else None

@@ -1,13 +1,13 @@
-"""Mutations: small changes of bytes, text, trees and tables, some of them hostile.
+"""Mutations of bytes, text, trees and tables, some with hostile values.
 
-Everything is drawn from the `random.Random` that is given, so that a case is known by its seed.
+All randomness comes from the `random.Random` argument, so that its seed determines the case.
 
-- `mutate_bytes`, `mutate_text`: without regard to what it means
-- `mutate_tree`: dicts, lists and values, as TOML and JSON have them
-- `mutate_sizes`: lengths, rates and numbers of things in such a tree, beyond all bounds
-- `mutate_xml`: elements
-- `mutate_table`: rows of cells
-- `write_toml`: any tree as TOML, right or wrong
+- `mutate_bytes`, `mutate_text`: mutate content without regard to its structure
+- `mutate_tree`: mutate dicts, lists and values of TOML or JSON
+- `mutate_sizes`: replace durations, rates and counts in such a tree by extreme ones
+- `mutate_xml`: mutate elements
+- `mutate_table`: mutate rows of cells
+- `write_toml`: write any tree as TOML, valid or not
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from typing import Any
 
 from lxml import etree
 
-#: Values that programs stumble over.
-HOSTILE: list[Any] = [
+#: Values that often cause errors.
+HOSTILE_VALUES: list[Any] = [
     "",
     " ",
     "0",
@@ -114,7 +114,7 @@ HOSTILE: list[Any] = [
     ["up", "west"],
 ]
 
-#: Pieces of text that parsers care for.
+#: Text with a meaning for parsers.
 TOKENS = [
     *("[", "]", "[[", "]]", "{", "}", "=", '"', "'", '"""', "'''", ",", ".", "#", "\n", "\r", "\t"),
     *("\0", "\ufeff", "\u2028", "\u202e", "\x1b[31m", "±", "+/-", "−", "e", "E", "+", "-", "_"),
@@ -122,14 +122,14 @@ TOKENS = [
     *("<!--", "]]>", "&lt;", "&a;", "%", "^", "/", "*", "(", ")", "99999999999999999999"),
 ]
 
-#: Bytes that formats count with.
-_INTERESTING = (0x00, 0x01, 0x7F, 0x80, 0xFE, 0xFF, 0x20, 0x2C, 0x0A)
+#: Bytes at the boundaries of types and encodings, and separators.
+_BOUNDARY_BYTES = (0x00, 0x01, 0x7F, 0x80, 0xFE, 0xFF, 0x20, 0x2C, 0x0A)
 
 
-def draw_count(rng: Random, most: int = 8) -> int:
-    """Return how many mutations are made: mostly one or two."""
+def draw_count(rng: Random, max_count: int = 8) -> int:
+    """Return a random number of mutations, mostly one or two."""
     count = 1
-    while count < most and rng.random() < 0.45:
+    while count < max_count and rng.random() < 0.45:
         count += 1
     return count
 
@@ -137,97 +137,108 @@ def draw_count(rng: Random, most: int = 8) -> int:
 # Bytes and text
 
 
-def mutate_bytes(rng: Random, content: bytes, near: tuple[int, int] | None = None) -> bytes:
-    """Return bytes with a few flips, cuts, copies and foreign numbers, between two places."""
+def mutate_bytes(rng: Random, content: bytes, byte_range: tuple[int, int] | None = None) -> bytes:
+    """Return bytes with a few flips, deletions, copies and other numbers, in a byte range."""
     data = bytearray(content)
     for _ in range(draw_count(rng)):
         if not data:
             return bytes(rng.randbytes(rng.randrange(40)))
-        low, high = near or (0, len(data))
+        low, high = byte_range or (0, len(data))
         low, high = min(low, len(data) - 1), max(min(high, len(data)), 1)
-        place = rng.randrange(low, max(high, low + 1))
-        kind = rng.randrange(10)
-        if kind < 3:
-            data[place] ^= 1 << rng.randrange(8)
-        elif kind < 4:
-            data[place] = rng.choice(_INTERESTING)
-        elif kind < 6:
+        position = rng.randrange(low, max(high, low + 1))
+        mutation = rng.randrange(10)
+        if mutation < 3:
+            data[position] ^= 1 << rng.randrange(8)
+        elif mutation < 4:
+            data[position] = rng.choice(_BOUNDARY_BYTES)
+        elif mutation < 6:
             width = rng.choice((2, 4, 8))
             value = rng.choice((0, 1, 2**7, 2**15 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, -1))
             value = value + rng.randrange(-2, 3) if rng.random() < 0.5 else value
-            order = rng.choice(("little", "big"))
-            data[place : place + width] = (value % 2 ** (8 * width)).to_bytes(width, order)
-        elif kind == 6:
-            del data[place : place + rng.choice((1, 2, 4, 8, 100, 10**6))]
-        elif kind == 7:
+            byte_order = rng.choice(("little", "big"))
+            data[position : position + width] = (value % 2 ** (8 * width)).to_bytes(
+                width, byte_order
+            )
+        elif mutation == 6:
+            del data[position : position + rng.choice((1, 2, 4, 8, 100, 10**6))]
+        elif mutation == 7:
             length = rng.choice((1, 4, 16, 256, 4096))
-            data[place:place] = data[rng.randrange(len(data)) :][:length]
-        elif kind == 8:
+            data[position:position] = data[rng.randrange(len(data)) :][:length]
+        elif mutation == 8:
             length = rng.choice((4, 16, 256))
-            data[place : place + length] = rng.randbytes(length)
+            data[position : position + length] = rng.randbytes(length)
         else:
             length = rng.choice((4, 64, 1024))
-            data[place : place + length] = bytes(length)
+            data[position : position + length] = bytes(length)
     return bytes(data)
 
 
 def mutate_text(rng: Random, text: str) -> str:
-    """Return text with tokens, lines and characters put in, taken out and exchanged."""
+    """Return text with tokens, lines and characters inserted, deleted and exchanged."""
     for _ in range(draw_count(rng)):
         lines = text.split("\n")
-        place = rng.randrange(len(text) + 1)
-        line = rng.randrange(len(lines))
-        kind = rng.randrange(9)
-        if kind == 0:
-            del lines[line]
+        position = rng.randrange(len(text) + 1)
+        index = rng.randrange(len(lines))
+        mutation = rng.randrange(9)
+        if mutation == 0:
+            del lines[index]
             text = "\n".join(lines)
-        elif kind == 1:
-            lines.insert(rng.randrange(len(lines) + 1), lines[line])
+        elif mutation == 1:
+            lines.insert(rng.randrange(len(lines) + 1), lines[index])
             text = "\n".join(lines)
-        elif kind == 2:
-            other = rng.randrange(len(lines))
-            lines[line], lines[other] = lines[other], lines[line]
+        elif mutation == 2:
+            other_index = rng.randrange(len(lines))
+            lines[index], lines[other_index] = lines[other_index], lines[index]
             text = "\n".join(lines)
-        elif kind == 3:
-            text = text[:place] + rng.choice(TOKENS) + text[place:]
-        elif kind == 4:
-            text = text[:place] + text[place + rng.choice((1, 1, 2, 5, 50)) :]
-        elif kind == 5:
+        elif mutation == 3:
+            text = text[:position] + rng.choice(TOKENS) + text[position:]
+        elif mutation == 4:
+            text = text[:position] + text[position + rng.choice((1, 1, 2, 5, 50)) :]
+        elif mutation == 5:
             count = rng.choice((2, 200, 20000))
             pair = rng.choice(("[]", "{}", "()", '[""]', "  ", *(2 * token for token in TOKENS)))
-            half = len(pair) // 2
-            text = text[:place] + pair[:half] * count + pair[half:] * count + text[place:]
-        elif kind == 6:
-            text = _with_other_number(rng, text)
-        elif kind == 7:
+            half_length = len(pair) // 2
             text = (
-                text[:place]
+                text[:position]
+                + pair[:half_length] * count
+                + pair[half_length:] * count
+                + text[position:]
+            )
+        elif mutation == 6:
+            text = _replace_number(rng, text)
+        elif mutation == 7:
+            text = (
+                text[:position]
                 + chr(rng.choice((rng.randrange(1, 128), rng.randrange(0x2100))))
-                + text[place + 1 :]
+                + text[position + 1 :]
             )
         else:
-            end = min(len(text), place + rng.randrange(1, 200))
-            text = text[:place] + text[rng.randrange(len(text) + 1) :][: end - place] + text[end:]
+            end = min(len(text), position + rng.randrange(1, 200))
+            text = (
+                text[:position]
+                + text[rng.randrange(len(text) + 1) :][: end - position]
+                + text[end:]
+            )
     return text
 
 
-_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
+_NUMBER_PATTERN = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
 _NUMBERS = ("0", "-1", "1e400", "1e-400", "nan", "9" * 30, "1e308", "1e-308", "-0.0", "1e16", "0.1")
 
 
-def _with_other_number(rng: Random, text: str) -> str:
-    found = list(_NUMBER.finditer(text))
-    if not found:
+def _replace_number(rng: Random, text: str) -> str:
+    matches = list(_NUMBER_PATTERN.finditer(text))
+    if not matches:
         return text
-    one = rng.choice(found)
-    return text[: one.start()] + _number(rng, one[0]) + text[one.end() :]
+    match = rng.choice(matches)
+    return text[: match.start()] + _draw_number(rng, match[0]) + text[match.end() :]
 
 
-def _number(rng: Random, old: str) -> str:
+def _draw_number(rng: Random, number: str) -> str:
     if rng.random() < 0.5:
         return rng.choice(_NUMBERS)
     try:
-        return repr(float(old) * rng.choice((-1.0, 10.0, 1e-3, 1e3, 1e6, 1e12, 1.001, 0.0)))
+        return repr(float(number) * rng.choice((-1.0, 10.0, 1e-3, 1e3, 1e6, 1e12, 1.001, 0.0)))
     except OverflowError:
         return "1"
 
@@ -235,94 +246,102 @@ def _number(rng: Random, old: str) -> str:
 # Trees
 
 
-def mutate_tree(rng: Random, tree: Any, others: list[Any]) -> Any:
-    """Return a tree with values exchanged, moved, taken out or nested; parts of others come in."""
+def mutate_tree(rng: Random, tree: Any, donors: list[Any]) -> Any:
+    """Return a tree with values changed, moved, deleted, nested, or copied from the donors."""
     tree = copy.deepcopy(tree)
     for _ in range(draw_count(rng)):
-        places = list(_places(tree))
-        if not places:
+        entries = list(_list_entries(tree))
+        if not entries:
             return tree
-        holder, key = rng.choice(places)
-        kind = rng.randrange(10)
-        if kind == 0:
-            del holder[key]
-        elif kind < 3:
-            holder[key] = copy.deepcopy(rng.choice(HOSTILE))
-        elif kind < 6:
-            holder[key] = _other_value(rng, holder[key])
-        elif kind == 6:
-            other, there = rng.choice(places)
-            holder[key] = copy.deepcopy(other[there]) if there in _keys(other) else None
-        elif kind == 7:
-            source = rng.choice(others) if others else tree
-            other, there = rng.choice(list(_places(source)) or [({"a": 1}, "a")])
-            if isinstance(holder, dict):
-                holder[str(there)] = copy.deepcopy(other[there])
+        container, key = rng.choice(entries)
+        mutation = rng.randrange(10)
+        if mutation == 0:
+            del container[key]
+        elif mutation < 3:
+            container[key] = copy.deepcopy(rng.choice(HOSTILE_VALUES))
+        elif mutation < 6:
+            container[key] = _mutate_value(rng, container[key])
+        elif mutation == 6:
+            other_container, other_key = rng.choice(entries)
+            container[key] = (
+                copy.deepcopy(other_container[other_key])
+                if other_key in _list_keys(other_container)
+                else None
+            )
+        elif mutation == 7:
+            source = rng.choice(donors) if donors else tree
+            other_container, other_key = rng.choice(
+                list(_list_entries(source)) or [({"a": 1}, "a")]
+            )
+            if isinstance(container, dict):
+                container[str(other_key)] = copy.deepcopy(other_container[other_key])
             else:
-                holder.insert(key, copy.deepcopy(other[there]))
-        elif kind == 8:
-            holder[key] = rng.choice(([holder[key]], {"value": holder[key]}, [holder[key]] * 3))
-        elif isinstance(holder, dict):
-            holder[_other_key(rng, str(key))] = holder.pop(key)
+                container.insert(key, copy.deepcopy(other_container[other_key]))
+        elif mutation == 8:
+            container[key] = rng.choice(
+                ([container[key]], {"value": container[key]}, [container[key]] * 3)
+            )
+        elif isinstance(container, dict):
+            container[_mutate_key(rng, str(key))] = container.pop(key)
         else:
-            holder.append(copy.deepcopy(holder[key]))
+            container.append(copy.deepcopy(container[key]))
         if rng.random() < 0.003:
-            holder, key = rng.choice(list(_places(tree)) or [([0], 0)])
+            container, key = rng.choice(list(_list_entries(tree)) or [([0], 0)])
             for _ in range(rng.choice((20, 90))):
-                holder[key] = rng.choice(([holder[key]], {"a": holder[key]}))
+                container[key] = rng.choice(([container[key]], {"a": container[key]}))
     return tree
 
 
-#: Keys whose values say how much there is of something.
-_SIZES = (
+#: Keys of sizes: rates, durations and counts.
+_SIZE_KEYS = (
     *("rate", "duration", "revolutions", "sampling_rate", "start", "stop", "harmonic", "per"),
     *("total_time", "highest_rate", "lowest_rate", "longest_run", "settling", "rates"),
     *("fewest_revolutions", "fewest_rates", "runs", "readings", "positions", "time", "trials"),
 )
-#: Nothing near to what can just be done: that takes up to a minute.
+#: Extreme values; large feasible sizes are excluded, because they take up to a minute.
 _EXTREMES = ("1e-300", "1e-30", "1e-12", "1e-9", "1e9", "1e12", "1e15", "1e30", "1e300")
 
 
 def mutate_sizes(rng: Random, tree: Any) -> Any:
-    """Return a tree in which one or two sizes are beyond all bounds, or far below."""
+    """Return a tree with one or two sizes replaced by extreme values."""
     tree = copy.deepcopy(tree)
-    places = [
+    entries = [
         (holder, key)
-        for holder, key in _places(tree)
-        if (key in _SIZES or rng.random() < 0.05) and isinstance(holder[key], str | int | float)
+        for holder, key in _list_entries(tree)
+        if (key in _SIZE_KEYS or rng.random() < 0.05) and isinstance(holder[key], str | int | float)
     ]
-    for holder, key in rng.sample(places, min(len(places), rng.choice((1, 1, 1, 2)))):
+    for container, key in rng.sample(entries, min(len(entries), rng.choice((1, 1, 1, 2)))):
         extreme = rng.choice(_EXTREMES)
-        if isinstance(holder[key], str):
-            holder[key] = _NUMBER.sub(extreme, holder[key], count=1)
+        if isinstance(container[key], str):
+            container[key] = _NUMBER_PATTERN.sub(extreme, container[key], count=1)
         else:
             value = float(extreme)
-            whole = isinstance(holder[key], int) and 1.0 <= value < 1e20
-            holder[key] = int(value) if whole else value
+            is_integer = isinstance(container[key], int) and 1.0 <= value < 1e20
+            container[key] = int(value) if is_integer else value
     return tree
 
 
-def _places(tree: Any) -> Any:
-    stack = [tree]
-    while stack:
-        node = stack.pop()
+def _list_entries(tree: Any) -> Any:
+    pending = [tree]
+    while pending:
+        node = pending.pop()
         if isinstance(node, dict | list):
-            for key in _keys(node):
+            for key in _list_keys(node):
                 yield node, key
-                stack.append(node[key])
+                pending.append(node[key])
 
 
-def _keys(node: Any) -> Any:
+def _list_keys(node: Any) -> Any:
     return list(node) if isinstance(node, dict) else range(len(node))
 
 
-def _other_key(rng: Random, key: str) -> str:
+def _mutate_key(rng: Random, key: str) -> str:
     return rng.choice(
         (key + "s", key.upper(), key[:-1], "", "a.b", key * 2, "\x1b[1m", "x" * 300, "x" * 100_000)
     )
 
 
-def _other_value(rng: Random, value: Any) -> Any:
+def _mutate_value(rng: Random, value: Any) -> Any:
     if isinstance(value, bool):
         return not value
     if isinstance(value, int):
@@ -330,77 +349,83 @@ def _other_value(rng: Random, value: Any) -> Any:
     if isinstance(value, float):
         return value * rng.choice((-1.0, 0.0, 1e-6, 1e3, 1e9, 1e200, float("nan"), 1.0 + 1e-9))
     if isinstance(value, str):
-        return mutate_text(rng, value) if rng.random() < 0.6 else _with_other_number(rng, value)
+        return mutate_text(rng, value) if rng.random() < 0.6 else _replace_number(rng, value)
     if isinstance(value, list):
         return rng.choice((value[::-1], value[:-1], value * 2, value[:1], value * 50))
     if isinstance(value, dict):
         keys = list(value)
         rng.shuffle(keys)
         return {key: value[key] for key in keys[: rng.randrange(len(keys) + 1)]}
-    return rng.choice(HOSTILE)
+    return rng.choice(HOSTILE_VALUES)
 
 
 def write_json(rng: Random, tree: Any) -> str:
-    """Return a tree as JSON, or nearly."""
+    """Return a tree as JSON; values such as NaN make it invalid."""
     return json.dumps(tree, default=str, ensure_ascii=rng.random() < 0.5)
 
 
 def write_toml(tree: Any) -> str:
-    """Return a tree as TOML: all tables in line, so that anything may stand anywhere."""
+    """Return a tree as TOML with inline tables, so that any nesting is possible."""
     if not isinstance(tree, dict):
-        return f"value = {_toml(tree)}\n"
-    return "".join(f"{json.dumps(str(key))} = {_toml(value)}\n" for key, value in tree.items())
+        return f"value = {_format_toml_value(tree)}\n"
+    return "".join(
+        f"{json.dumps(str(key))} = {_format_toml_value(value)}\n" for key, value in tree.items()
+    )
 
 
-def _toml(value: Any) -> str:
+def _format_toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=True).replace("\\/", "/").replace("\x7f", "\\u007f")
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(str(k))} = {_toml(v)}" for k, v in value.items()) + "}"
+        return (
+            "{"
+            + ", ".join(f"{json.dumps(str(k))} = {_format_toml_value(v)}" for k, v in value.items())
+            + "}"
+        )
     if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
+        return "[" + ", ".join(map(_format_toml_value, value)) + "]"
     return '""' if value is None else str(value)
 
 
 # XML
 
 
-def mutate_xml(rng: Random, whole: etree._Element) -> bytes:
-    """Return a document with elements taken out, copied, moved, renamed, or with other contents."""
-    root = copy.deepcopy(whole)
+def mutate_xml(rng: Random, document: etree._Element) -> bytes:
+    """Return a document with elements deleted, copied, moved, renamed or changed."""
+    root = copy.deepcopy(document)
     for _ in range(draw_count(rng)):
         elements = [e for e in root.iter() if isinstance(e.tag, str)]
-        one = rng.choice(elements)
-        parent = one.getparent()
-        kind = rng.randrange(8)
-        if kind == 0 and parent is not None:
-            parent.remove(one)
-        elif kind == 1 and parent is not None:
-            parent.insert(rng.randrange(len(parent) + 1), copy.deepcopy(one))
-        elif kind == 2 and parent is not None:
-            to = rng.choice(elements)
-            if one not in to.iterancestors() and to is not one:
-                to.append(one)
-        elif kind == 3:
-            one.text = _plain(str(_other_value(rng, one.text or "1")))
-        elif kind == 4:
-            one.text = _plain(str(rng.choice(HOSTILE)))
-        elif kind == 5:
-            one.tag = rng.choice(elements).tag
-        elif kind == 6 and one.attrib:
-            name = rng.choice(list(one.attrib))
+        element = rng.choice(elements)
+        parent = element.getparent()
+        mutation = rng.randrange(8)
+        if mutation == 0 and parent is not None:
+            parent.remove(element)
+        elif mutation == 1 and parent is not None:
+            parent.insert(rng.randrange(len(parent) + 1), copy.deepcopy(element))
+        elif mutation == 2 and parent is not None:
+            new_parent = rng.choice(elements)
+            if element not in new_parent.iterancestors() and new_parent is not element:
+                new_parent.append(element)
+        elif mutation == 3:
+            element.text = _remove_control_characters(str(_mutate_value(rng, element.text or "1")))
+        elif mutation == 4:
+            element.text = _remove_control_characters(str(rng.choice(HOSTILE_VALUES)))
+        elif mutation == 5:
+            element.tag = rng.choice(elements).tag
+        elif mutation == 6 and element.attrib:
+            name = rng.choice(list(element.attrib))
             if rng.random() < 0.5:
-                del one.attrib[name]
+                del element.attrib[name]
             else:
-                one.set(name, _plain(str(rng.choice(HOSTILE))))
+                element.set(name, _remove_control_characters(str(rng.choice(HOSTILE_VALUES))))
         else:
-            one.text = _plain(_with_other_number(rng, one.text or "0"))
+            element.text = _remove_control_characters(_replace_number(rng, element.text or "0"))
     return etree.tostring(root, xml_declaration=True, encoding="UTF-8")
 
 
-def _plain(text: str) -> str:
+def _remove_control_characters(text: str) -> str:
     return re.sub(r"[^\t\n\x20-\ud7ff\ue000-\ufffd]", "", text)
 
 
@@ -429,33 +454,37 @@ _CELLS = (
 
 
 def mutate_table(rng: Random, rows: list[list[str]]) -> bytes:
-    """Return a table of cells as text, with cells, rows, columns and its form changed."""
+    """Return a mutated table as text: other cells, rows, columns, separators and encoding."""
     rows = [list(row) for row in rows]
     for _ in range(draw_count(rng)):
         if not rows:
             break
-        at = rng.randrange(len(rows))
-        row = rows[at]
-        kind = rng.randrange(12)
-        if kind < 3 and row:
+        index = rng.randrange(len(rows))
+        row = rows[index]
+        mutation = rng.randrange(12)
+        if mutation < 3 and row:
             row[rng.randrange(len(row))] = rng.choice(_CELLS)
-        elif kind == 3 and row:
-            place = rng.randrange(len(row))
-            row[place] = _number(rng, row[place]) if _NUMBER.fullmatch(row[place]) else row[place]
-        elif kind == 4:
-            del rows[at : at + rng.choice((1, 1, 5, 200))]
-        elif kind == 5:
-            rows[at:at] = [list(row) for _ in range(rng.choice((1, 1, 20)))]
-        elif kind == 6:
-            other = rng.randrange(len(rows))
-            rows[at], rows[other] = rows[other], rows[at]
-        elif kind == 7 and row:
+        elif mutation == 3 and row:
+            cell_index = rng.randrange(len(row))
+            row[cell_index] = (
+                _draw_number(rng, row[cell_index])
+                if _NUMBER_PATTERN.fullmatch(row[cell_index])
+                else row[cell_index]
+            )
+        elif mutation == 4:
+            del rows[index : index + rng.choice((1, 1, 5, 200))]
+        elif mutation == 5:
+            rows[index:index] = [list(row) for _ in range(rng.choice((1, 1, 20)))]
+        elif mutation == 6:
+            other_index = rng.randrange(len(rows))
+            rows[index], rows[other_index] = rows[other_index], rows[index]
+        elif mutation == 7 and row:
             row.insert(rng.randrange(len(row) + 1), rng.choice(_CELLS))
-        elif kind == 8 and row:
+        elif mutation == 8 and row:
             del row[rng.randrange(len(row))]
-        elif kind == 9:
+        elif mutation == 9:
             column = rng.randrange(max(map(len, rows)) or 1)
-            scale: Callable[[str], str] = rng.choice(
+            change: Callable[[str], str] = rng.choice(
                 (
                     lambda _: "",
                     lambda _: "nan",
@@ -464,17 +493,17 @@ def mutate_table(rng: Random, rows: list[list[str]]) -> bytes:
                     lambda _: "7",
                 )
             )
-            begin = rng.choice((0, 1, at))
-            for each in rows[begin:]:
-                if column < len(each):
-                    each[column] = scale(each[column])
-        elif kind == 10:
-            rows.sort(key=lambda r: rng.random()) if rng.random() < 0.2 else rows[at:].reverse()
+            start = rng.choice((0, 1, index))
+            for mutated_row in rows[start:]:
+                if column < len(mutated_row):
+                    mutated_row[column] = change(mutated_row[column])
+        elif mutation == 10:
+            rows.sort(key=lambda r: rng.random()) if rng.random() < 0.2 else rows[index:].reverse()
         else:
-            rows.insert(at, [rng.choice(("# note", "", " ", '"', "#", "a,b,c,d,e,f,g"))])
+            rows.insert(index, [rng.choice(("# note", "", " ", '"', "#", "a,b,c,d,e,f,g"))])
     separator = rng.choice((",", ",", ",", ";", "\t", "|", " "))
-    end = rng.choice(("\n", "\n", "\n", "\r\n", "\r", "\n\n"))
-    text = end.join(separator.join(row) for row in rows) + rng.choice((end, end, ""))
+    line_end = rng.choice(("\n", "\n", "\n", "\r\n", "\r", "\n\n"))
+    text = line_end.join(separator.join(row) for row in rows) + rng.choice((line_end, line_end, ""))
     encoding = rng.choice(("utf-8",) * 6 + ("utf-8-sig", "utf-16", "latin-1"))
     content = text.encode(encoding, "replace")
     return mutate_bytes(rng, content) if rng.random() < 0.2 else content

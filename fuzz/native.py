@@ -1,11 +1,11 @@
-"""Record files of the formats that native code reads: sound ones, odd ones and damaged ones.
+"""Files of the formats that native code reads: valid, unusual and damaged ones.
 
-Some are changed where the format's own structure says what matters: types, shapes and filters
-through the library that writes them, and compressed streams before they are compressed.
+Some mutations use the structure of the format: types, shapes and filters are changed with the
+library that writes the file, and compressed streams before compression.
 
-- `parquet`, `hdf5`, `mat5`, `mat73`, `tdms`: a record; `readings`: a table of readings as Parquet
-- `workbook`: the same as Excel writes it, with bombs among them
-- `numpy_archive`: what a study keeps; `damaged`: a whole file with changed bytes
+- `draw_parquet`, `draw_hdf5`, `draw_mat5`, `draw_mat73`, `draw_tdms`: draw a record
+- `draw_readings`, `draw_workbook`: draw a table as Parquet or Excel; some workbooks are zip bombs
+- `draw_numpy_archive`: draw the saved progress of a study; `damage`: change bytes of a file
 """
 
 from __future__ import annotations
@@ -29,35 +29,35 @@ from scipy import sparse
 from scipy.io import savemat
 from workbooks import write_workbook
 
-from fuzz.mutations import HOSTILE, mutate_bytes, mutate_text
+from fuzz.mutations import HOSTILE_VALUES, mutate_bytes, mutate_text
 
-_ROWS = 330
+_N_ROWS = 330
 
 
-def _columns(rng: Random) -> dict[str, Any]:
-    """Return a record's columns, some of them odd."""
-    columns: dict[str, Any] = dict(record_files.simulate_columns(n=_ROWS))
+def _draw_columns(rng: Random) -> dict[str, Any]:
+    """Return the columns of a record, some of them mutated."""
+    columns: dict[str, Any] = dict(record_files.simulate_columns(n=_N_ROWS))
     while rng.random() < 0.5:
         name = rng.choice(list(columns))
         values = np.asarray(columns[name])
         if values.dtype.kind not in "fiu" or values.ndim != 1 or not len(values):
             break
-        columns[name] = rng.choice(_ODD)(rng, values)
+        columns[name] = rng.choice(_COLUMN_MUTATIONS)(rng, values)
     if rng.random() < 0.1:
         columns.pop(rng.choice(list(columns)))
     if rng.random() < 0.1:
-        columns[rng.choice(("x" * 300, "x" * 60_000, "ü", "a b", "time_s2"))] = np.arange(_ROWS)
+        columns[rng.choice(("x" * 300, "x" * 60_000, "ü", "a b", "time_s2"))] = np.arange(_N_ROWS)
     return columns
 
 
-def _with(rng: Random, values: np.ndarray, value: float) -> np.ndarray:
+def _overwrite_some(rng: Random, values: np.ndarray, value: float) -> np.ndarray:
     values = values.astype(float)
     start = rng.randrange(len(values))
-    values[start : start + rng.choice((1, 2, 50, _ROWS))] = value
+    values[start : start + rng.choice((1, 2, 50, _N_ROWS))] = value
     return values
 
 
-_ODD: list[Callable[[Random, np.ndarray], Any]] = [
+_COLUMN_MUTATIONS: list[Callable[[Random, np.ndarray], Any]] = [
     lambda rng, v: v[: rng.randrange(len(v) + 1)],
     lambda rng, v: np.concatenate([v] * 2),
     lambda rng, v: v[:, None] if rng.random() < 0.5 else v[None, :],
@@ -67,7 +67,9 @@ _ODD: list[Callable[[Random, np.ndarray], Any]] = [
     lambda rng, v: v.astype(complex),
     lambda rng, v: v.astype(str),
     lambda rng, v: v.astype("S8"),
-    lambda rng, v: _with(rng, v, rng.choice((np.nan, np.inf, -np.inf, 0.0, 1e300, -1e-300))),
+    lambda rng, v: _overwrite_some(
+        rng, v, rng.choice((np.nan, np.inf, -np.inf, 0.0, 1e300, -1e-300))
+    ),
     lambda rng, v: v[::-1],
     lambda rng, v: v * rng.choice((-1.0, 0.0, 1e-6, 1e6, 1e200)),
     lambda rng, v: np.where(np.arange(len(v)) == len(v) - 1, v * 1e3 + 1e5, v),
@@ -80,24 +82,24 @@ _ODD: list[Callable[[Random, np.ndarray], Any]] = [
 ]
 
 
-def damaged(rng: Random, content: bytes, near: tuple[int, int] | None) -> bytes:
-    """Return a file, three times in four with changed bytes."""
+def damage(rng: Random, content: bytes, byte_range: tuple[int, int] | None) -> bytes:
+    """Return a file, with changed bytes in three of four cases."""
     if rng.random() < 0.25:
         return content
     if rng.random() < 0.1:
         return content[: rng.randrange(1, len(content) + 1)]
-    return mutate_bytes(rng, content, near if rng.random() < 0.7 else None)
+    return mutate_bytes(rng, content, byte_range if rng.random() < 0.7 else None)
 
 
-def parquet(rng: Random) -> bytes:
-    """Return a record as Parquet; the footer says what is where."""
-    frame = {}
-    for name, values in _columns(rng).items():
+def draw_parquet(rng: Random) -> bytes:
+    """Return a record as Parquet."""
+    columns = {}
+    for name, values in _draw_columns(rng).items():
         try:
-            frame[name] = pl.Series(name, values)
-        except Exception:  # what polars has no type for
-            frame[name] = pl.Series(name, [1.0, None, 2.0])
-    return _parquet(rng, _with_other_type(rng, pl.DataFrame(_levelled(frame))))
+            columns[name] = pl.Series(name, values)
+        except Exception:  # polars has no type for the values
+            columns[name] = pl.Series(name, [1.0, None, 2.0])
+    return _write_parquet(rng, _change_column_type(rng, pl.DataFrame(_pad_columns(columns))))
 
 
 #: Columns of numbers in other types of Parquet.
@@ -120,51 +122,52 @@ _PARQUET_TYPES: list[Callable[[pl.Series], pl.Series]] = [
 ]
 
 
-def _with_other_type(rng: Random, frame: pl.DataFrame) -> pl.DataFrame:
-    """Return a table, one time in three with a column of another type."""
+def _change_column_type(rng: Random, frame: pl.DataFrame) -> pl.DataFrame:
+    """Return a table, with a column of another type in one of three cases."""
     if rng.random() < 0.67 or not frame.width:
         return frame
     name = rng.choice(frame.columns)
     return frame.with_columns(rng.choice(_PARQUET_TYPES)(frame[name]).alias(name))
 
 
-def readings(rng: Random, rows: list[list[str]]) -> bytes:
+def draw_readings(rng: Random, rows: list[list[str]]) -> bytes:
     """Return a table of readings as Parquet."""
-    head, *body = rows
-    frame = {}
-    for place, name in enumerate(head):
-        cells: list[Any] = [row[place] for row in body]
+    header, *body_rows = rows
+    columns = {}
+    for index, name in enumerate(header):
+        cells: list[Any] = [row[index] for row in body_rows]
         with contextlib.suppress(ValueError):
             cells = [float(cell) for cell in cells]
-        kind = rng.random()
-        if kind < 0.1:
+        choice = rng.random()
+        if choice < 0.1:
             cells = [rng.choice((None, cell)) for cell in cells]
-        elif kind < 0.15:
+        elif choice < 0.15:
             cells = [str(cell) for cell in cells]
-        elif kind < 0.2:
+        elif choice < 0.2:
             cells = [[cell] for cell in cells]
-        elif kind < 0.25:
+        elif choice < 0.25:
             cells = [rng.choice((cell, float("nan"), float("inf"), 1e300)) for cell in cells]
-        elif kind < 0.28:
+        elif choice < 0.28:
             cells = [{"a": cell} for cell in cells]
         try:
-            frame[name] = pl.Series(name, cells)
+            columns[name] = pl.Series(name, cells)
         except Exception:
-            frame[name] = pl.Series(name, [str(cell) for cell in cells])
-        if frame[name].dtype == pl.Float64 and rng.random() < 0.1:
-            kinds = (pl.Float32, pl.Int8, pl.Datetime, pl.Duration, pl.Boolean, pl.Date, pl.Binary)
-            frame[name] = frame[name].cast(rng.choice(kinds), strict=False)
-    return _parquet(rng, _with_other_type(rng, pl.DataFrame(frame)))
+            columns[name] = pl.Series(name, [str(cell) for cell in cells])
+        if columns[name].dtype == pl.Float64 and rng.random() < 0.1:
+            types = (pl.Float32, pl.Int8, pl.Datetime, pl.Duration, pl.Boolean, pl.Date, pl.Binary)
+            columns[name] = columns[name].cast(rng.choice(types), strict=False)
+    return _write_parquet(rng, _change_column_type(rng, pl.DataFrame(columns)))
 
 
-def _levelled(frame: dict[str, pl.Series]) -> dict[str, pl.Series]:
-    longest = max((len(series) for series in frame.values()), default=0)
+def _pad_columns(columns: dict[str, pl.Series]) -> dict[str, pl.Series]:
+    max_length = max((len(series) for series in columns.values()), default=0)
     return {
-        name: series.extend_constant(None, longest - len(series)) for name, series in frame.items()
+        name: series.extend_constant(None, max_length - len(series))
+        for name, series in columns.items()
     }
 
 
-def _parquet(rng: Random, frame: pl.DataFrame) -> bytes:
+def _write_parquet(rng: Random, frame: pl.DataFrame) -> bytes:
     file = io.BytesIO()
     frame.write_parquet(
         file,
@@ -172,39 +175,39 @@ def _parquet(rng: Random, frame: pl.DataFrame) -> bytes:
         row_group_size=rng.choice((None, 100)),
     )
     content = file.getvalue()
-    length = int.from_bytes(content[-8:-4], "little")
-    return damaged(rng, content, (len(content) - 8 - length, len(content)))
+    footer_length = int.from_bytes(content[-8:-4], "little")
+    return damage(rng, content, (len(content) - 8 - footer_length, len(content)))
 
 
-def hdf5(rng: Random) -> bytes:
+def draw_hdf5(rng: Random) -> bytes:
     """Return a record as HDF5."""
-    return _hdf5(rng, "")
+    return _draw_hdf5(rng, "")
 
 
-def mat73(rng: Random) -> bytes:
-    """Return a record as MATLAB writes it since version 7.3: HDF5 after 512 bytes of its own."""
-    return _hdf5(rng, "MATLAB 7.3 MAT-file".ljust(512))
+def draw_mat73(rng: Random) -> bytes:
+    """Return a record as a MATLAB 7.3 file: HDF5 after a user block of 512 bytes."""
+    return _draw_hdf5(rng, "MATLAB 7.3 MAT-file".ljust(512))
 
 
-def _hdf5(rng: Random, head: str) -> bytes:
+def _draw_hdf5(rng: Random, userblock: str) -> bytes:
     file = io.BytesIO()
-    options = {"userblock_size": 512} if head else {}
+    options = {"userblock_size": 512} if userblock else {}
     with h5py.File(file, "w", libver=rng.choice(("earliest", "latest")), **options) as h5:
         group = h5.create_group("run/1") if rng.random() < 0.2 else h5
-        for name, values in _columns(rng).items():
+        for name, values in _draw_columns(rng).items():
             if sparse.issparse(values):
                 group.create_group(name)["data"] = values.data
             elif isinstance(values, dict):
                 group.create_group(name)
             else:
-                _dataset(rng, group, name, np.asarray(values))
+                _write_dataset(rng, group, name, np.asarray(values))
         if rng.random() < 0.1:
             group[record_files.TIME + "2"] = rng.choice(
                 (h5py.SoftLink("/x"), h5py.ExternalLink("other.h5", "/x"))
             )
     content = bytearray(file.getvalue())
-    content[: len(head)] = head.encode()
-    return damaged(rng, bytes(content), (len(head), len(head) + 2500))
+    content[: len(userblock)] = userblock.encode()
+    return damage(rng, bytes(content), (len(userblock), len(userblock) + 2500))
 
 
 #: Columns of numbers in other types of HDF5.
@@ -223,7 +226,7 @@ _HDF5_TYPES: list[Callable[[np.ndarray], np.ndarray]] = [
 ]
 
 
-def _dataset(rng: Random, group: Any, name: str, values: np.ndarray) -> None:
+def _write_dataset(rng: Random, group: Any, name: str, values: np.ndarray) -> None:
     if values.dtype.kind == "U":
         values = values.astype("S")
     if values.dtype.kind == "M":
@@ -241,14 +244,14 @@ def _dataset(rng: Random, group: Any, name: str, values: np.ndarray) -> None:
             )
         )
     dataset = group.create_dataset(name.replace("/", "_"), data=values, **options)
-    if "maxshape" in options and rng.random() < 0.3:  # says that it is longer than it is
+    if "maxshape" in options and rng.random() < 0.3:  # longer than its data
         dataset.resize((rng.choice((10**4, 10**9, 10**15)), *values.shape[1:]))
 
 
-def mat5(rng: Random) -> bytes:
-    """Return a record as MATLAB writes it up to version 7."""
+def draw_mat5(rng: Random) -> bytes:
+    """Return a record as a MATLAB file of version 5 to 7."""
     file = io.BytesIO()
-    columns = {name[:31]: values for name, values in _columns(rng).items()}
+    columns = {name[:31]: values for name, values in _draw_columns(rng).items()}
     columns = {name: values for name, values in columns.items() if name.isidentifier()}
     for name, values in columns.items():
         if np.asarray(values).dtype.kind == "M":
@@ -256,53 +259,54 @@ def mat5(rng: Random) -> bytes:
     savemat(file, columns, do_compression=rng.random() < 0.6, oned_as=rng.choice(("row", "column")))
     content = file.getvalue()
     if rng.random() < 0.5:
-        content = _inside(rng, content)
+        content = _mutate_mat5_elements(rng, content)
     if rng.random() < 0.3:
         return content
-    return damaged(rng, content, (0, 400))
+    return damage(rng, content, (0, 400))
 
 
-def _inside(rng: Random, content: bytes) -> bytes:
-    """Return a file with the elements changed, compressed ones before they were compressed."""
-    made, at = content[:128], 128
-    while at + 8 <= len(content):
-        kind, size = struct.unpack("<II", content[at : at + 8])
-        body = content[at + 8 : at + 8 + size]
-        at += 8 + size
-        if kind == 15:
+def _mutate_mat5_elements(rng: Random, content: bytes) -> bytes:
+    """Return a file with mutated elements; compressed elements are mutated before compression."""
+    mutated, position = content[:128], 128
+    while position + 8 <= len(content):
+        element_type, size = struct.unpack("<II", content[position : position + 8])
+        body = content[position + 8 : position + 8 + size]
+        position += 8 + size
+        if element_type == 15:
             body = zlib.decompress(body)
         if rng.random() < 0.5:
             body = mutate_bytes(rng, body, (0, 80))
-        if kind == 15:
+        if element_type == 15:
             body = zlib.compress(body * rng.choice((1,) * 9 + (50,)))
-        made += struct.pack("<II", kind, len(body)) + body
-    return made
+        mutated += struct.pack("<II", element_type, len(body)) + body
+    return mutated
 
 
-def tdms(rng: Random) -> bytes:
-    """Return a record as LabVIEW writes it, in segments."""
+def draw_tdms(rng: Random) -> bytes:
+    """Return a record as a LabVIEW file with two segments."""
     file = io.BytesIO()
-    columns = _columns(rng)
+    columns = _draw_columns(rng)
     with TdmsWriter(file) as writer:
-        for part in (slice(0, 200), slice(200, None)):
+        for segment_rows in (slice(0, 200), slice(200, None)):
             channels = []
             for name, values in columns.items():
-                kept = np.atleast_1d(np.asarray(values)) if isinstance(values, np.ndarray) else None
-                if kept is not None and kept.ndim == 1 and kept.dtype.kind in "fiuU":
-                    step = {"wf_increment": rng.choice((0.01, 0.0, 1e-300, "x"))}
-                    given = step if rng.random() < 0.1 else {}
-                    channels.append(ChannelObject("run", name, kept[part], given))
+                array = (
+                    np.atleast_1d(np.asarray(values)) if isinstance(values, np.ndarray) else None
+                )
+                if array is not None and array.ndim == 1 and array.dtype.kind in "fiuU":
+                    increment = {"wf_increment": rng.choice((0.01, 0.0, 1e-300, "x"))}
+                    properties = increment if rng.random() < 0.1 else {}
+                    channels.append(ChannelObject("run", name, array[segment_rows], properties))
             if channels:
                 writer.write_segment(channels)
     content = file.getvalue()
-    place = rng.choice((0, content.rfind(b"TDSm")))
-    if rng.random() < 0.2:  # as a recorder leaves it that stops in the middle of a segment
-        return content[: rng.randrange(place, len(content))]
-    return damaged(rng, content, (place, place + 600))
+    segment_start = rng.choice((0, content.rfind(b"TDSm")))
+    if rng.random() < 0.2:  # the recorder stopped within a segment
+        return content[: rng.randrange(segment_start, len(content))]
+    return damage(rng, content, (segment_start, segment_start + 600))
 
 
-#: What is put into a sheet: cells far out, dimensions that are lies, numbers of texts that are not
-#: there, entities.
+#: Replacements in a sheet: distant cells, wrong dimensions, missing shared strings, entities.
 _SHEET_TRICKS: list[tuple[str, str]] = [
     ('r="B5"', 'r="XFD1048576"'),
     ('r="5"', 'r="1048576"'),
@@ -323,63 +327,70 @@ _SHEET_TRICKS: list[tuple[str, str]] = [
 ]
 
 
-def workbook(rng: Random, rows: list[list[str]]) -> bytes:
-    """Return a table of readings as Excel writes it."""
-    rate = 0.5 / sum(map(len, rows))
-    table: list[list[Any]] = [[_cell(rng, text, rate) for text in row] for row in rows]
-    sheets = {"Tumble": table}
+def draw_workbook(rng: Random, rows: list[list[str]]) -> bytes:
+    """Return a table of readings as an Excel workbook."""
+    hostile_probability = 0.5 / sum(map(len, rows))
+    cells: list[list[Any]] = [
+        [_draw_cell(rng, text, hostile_probability) for text in row] for row in rows
+    ]
+    sheets = {"Tumble": cells}
     if rng.random() < 0.1:
-        sheets[rng.choice(("", "Notes", "x" * 300, "\u202e"))] = rng.choice(([], [["a"]], table))
+        sheets[rng.choice(("", "Notes", "x" * 300, "\u202e"))] = rng.choice(([], [["a"]], cells))
     file = io.BytesIO()
     write_workbook(file, sheets)
     if rng.random() < 0.1:
-        return damaged(rng, file.getvalue(), None)
-    return _repacked(rng, file)
+        return damage(rng, file.getvalue(), None)
+    return _mutate_workbook(rng, file)
 
 
-def _cell(rng: Random, text: str, rate: float) -> Any:
-    if rng.random() < rate:
-        return _storable(rng.choice(HOSTILE))
+def _draw_cell(rng: Random, text: str, hostile_probability: float) -> Any:
+    if rng.random() < hostile_probability:
+        return _to_storable(rng.choice(HOSTILE_VALUES))
     try:
         return float(text)
     except ValueError:
         return text
 
 
-def _storable(value: Any) -> Any:
+def _to_storable(value: Any) -> Any:
     return value if isinstance(value, int | float) else str(value)
 
 
-def _repacked(rng: Random, file: io.BytesIO) -> bytes:
-    """Return a workbook with some of its parts changed."""
-    made = io.BytesIO()
-    with zipfile.ZipFile(file) as whole, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new:
-        for name in whole.namelist():
-            content = whole.read(name)
+def _mutate_workbook(rng: Random, source_file: io.BytesIO) -> bytes:
+    """Return a workbook with mutated parts, or a zip bomb."""
+    mutated_file = io.BytesIO()
+    with (
+        zipfile.ZipFile(source_file) as source,
+        zipfile.ZipFile(mutated_file, "w", zipfile.ZIP_DEFLATED) as target,
+    ):
+        for name in source.namelist():
+            content = source.read(name)
             is_sheet = name.startswith("xl/worksheets")
             if is_sheet and rng.random() < 0.3:
-                old, changed = rng.choice(_SHEET_TRICKS)
-                content = content.replace(old.encode(), changed.encode(), rng.choice((1, 1, -1)))
+                old, replacement = rng.choice(_SHEET_TRICKS)
+                content = content.replace(
+                    old.encode(), replacement.encode(), rng.choice((1, 1, -1))
+                )
             if rng.random() < (0.3 if is_sheet else 0.08):
                 content = mutate_text(rng, content.decode()).encode("utf-8", "replace")
             if rng.random() < 0.97:
-                new.writestr(name, content)
+                target.writestr(name, content)
         if rng.random() < 0.05:
-            new.writestr("xl/sharedStrings.xml", mutate_text(rng, _STRINGS))
-    content = made.getvalue()
+            target.writestr("xl/sharedStrings.xml", mutate_text(rng, _SHARED_STRINGS))
+    content = mutated_file.getvalue()
     if rng.random() < 0.02:
-        content = _bomb(rng.choice(_FILLINGS))
-    return damaged(rng, content, None) if rng.random() < 0.3 else content
+        content = _make_bomb(rng.choice(_BOMB_PIECES))
+    return damage(rng, content, None) if rng.random() < 0.3 else content
 
 
-_STRINGS = (
+_SHARED_STRINGS = (
     '<sst xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main" count="4294967295" '
     'uniqueCount="4294967295"><si><t>a</t></si></sst>'
 )
 
 
-#: What fills the sheet of a bomb: blanks, rows, rows of texts and of formulas, a deep tree.
-_FILLINGS = (
+#: Repeated content of the sheet of a bomb: blanks, rows, strings, formulas, nested elements.
+_BOMB_PIECES = (
     b" ",
     b"<row><c><v>1</v></c></row>",
     b'<row><c t="inlineStr"><is><t>a</t></is></c></row>',
@@ -389,37 +400,40 @@ _FILLINGS = (
 
 
 @cache
-def _bomb(piece: bytes) -> bytes:
-    """Return a small workbook whose sheet is large, but not as large as would be refused."""
-    file, made = io.BytesIO(), io.BytesIO()
-    write_workbook(file, {"Tumble": [["a"], [1.0]]})
-    with zipfile.ZipFile(file) as whole, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new:
-        for name in whole.namelist():
-            content = whole.read(name)
+def _make_bomb(piece: bytes) -> bytes:
+    """Return a small workbook with a large sheet, just below the accepted size."""
+    source_file, bomb_file = io.BytesIO(), io.BytesIO()
+    write_workbook(source_file, {"Tumble": [["a"], [1.0]]})
+    with (
+        zipfile.ZipFile(source_file) as source,
+        zipfile.ZipFile(bomb_file, "w", zipfile.ZIP_DEFLATED) as target,
+    ):
+        for name in source.namelist():
+            content = source.read(name)
             if name.startswith("xl/worksheets"):
                 filling = piece * (60_000_000 // len(piece))
                 content = content.replace(b"</sheetData>", filling + b"</sheetData>")
-            new.writestr(name, content)
-    return made.getvalue()
+            target.writestr(name, content)
+    return bomb_file.getvalue()
 
 
-def numpy_archive(rng: Random, whole: bytes) -> bytes:
-    """Return what a study keeps: with other arrays in it, or with changed bytes."""
+def draw_numpy_archive(rng: Random, archive: bytes) -> bytes:
+    """Return the saved progress of a study with mutated arrays, or with changed bytes."""
     if rng.random() < 0.4:
-        return damaged(rng, whole, None)
-    with np.load(io.BytesIO(whole)) as kept:
-        arrays = dict(kept)
+        return damage(rng, archive, None)
+    with np.load(io.BytesIO(archive)) as saved:
+        arrays = dict(saved)
     name = rng.choice(list(arrays))
-    kind = rng.randrange(6)
-    if kind == 0:
+    mutation = rng.randrange(6)
+    if mutation == 0:
         del arrays[name]
-    elif kind == 1:
+    elif mutation == 1:
         arrays[name] = np.array("x" * 50)
-    elif kind == 2 and arrays[name].dtype.kind in "fib":
+    elif mutation == 2 and arrays[name].dtype.kind in "fib":
         arrays[name] = arrays[name].astype(rng.choice(("f4", "i1", "c16", "U5", "?", "M8[s]")))
-    elif kind == 3:
+    elif mutation == 3:
         arrays[name] = arrays[name][None]
-    elif kind == 4 and arrays[name].ndim:
+    elif mutation == 4 and arrays[name].ndim:
         arrays[name] = np.concatenate([arrays[name]] * 2)
     elif arrays[name].dtype.kind == "f":
         arrays[name] = arrays[name] * rng.choice((np.nan, 1e300, -1.0))

@@ -1,13 +1,12 @@
-"""Requests to the application (`counterspin serve`), as no page of its own would send them.
+"""Malformed and hostile requests to the application (`counterspin serve`).
 
-A case is some requests in a row, as JSON. They begin as valid ones of each kind; method, path,
-words, headers, form, pieces and end are then changed. They are asked of a folder that holds what
-nobody expects in one: links that lead out, pipes, names that are no text.
+A case is a sequence of requests, as JSON. Each is a valid request with mutated method, path,
+parameters, headers, content type, chunks or end. The served folder contains hostile entries: links
+to the outside, pipes, and names that are not valid text.
 
-- `application`: the format; `VALID`: a valid request of each kind
-- `InlineAppState`, `send_request`: sending of requests
-- `check_answer`: checks of an answer
-- `WatchedFolder`: checks that no file outside is accessed, and none is lost
+- `requests_format`: the format; `valid_requests`: valid requests to every endpoint
+- `make_request`: make a request as the page sends it
+- `prepare_folders`: write the served folder and its template
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.certificates.lab import write_example as write_lab
 from counterspin.ingest.starter import init
 from counterspin.studies.study import study
-from fuzz.asking import (
+from fuzz.application_client import (
     HOST,
     KEY,
     PORT,
@@ -48,15 +47,15 @@ from fuzz.asking import (
     InlineAppState,
     RequestRefusedError,
     WatchedFolder,
-    check_answer,
+    check_response,
     send_request,
     unthreaded_application,
 )
 from fuzz.format import Format
-from fuzz.mutations import HOSTILE, mutate_bytes, mutate_text, mutate_tree
+from fuzz.mutations import HOSTILE_VALUES, mutate_bytes, mutate_text, mutate_tree
 
-#: Names that lead out, are none, or are those of what is there.
-NAMES: tuple[str, ...] = (
+#: File names: outside the folder, invalid, or existing.
+HOSTILE_NAMES: tuple[str, ...] = (
     *("", ".", "..", "../outside", "../outside/secret.toml", "three/../../outside/secret.toml"),
     *("/etc/passwd", "//etc/passwd", "/dev/stdout", "/dev/full", "C:\\x", "..\\x", "~", "~root/x"),
     *(
@@ -133,15 +132,15 @@ NAMES: tuple[str, ...] = (
     ),
 )
 
-_FORM = "application/json"
+_JSON_TYPE = "application/json"
 _CURVE = ec.SECP256R1()
 
-#: Stands in a request for a ticket, which is issued when it is asked.
+#: Placeholder in a request for a ticket, which is issued when the request is sent.
 TICKET = "TICKET"
 
 
 def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
-    """Return a valid request of each kind: method, path, and what it says."""
+    """Return name -> method, path and parameters or body, for requests to every endpoint."""
     texts = {
         name: (folder / name).read_text(encoding="utf-8")
         for name in ("three/campaign.toml", "tumble/campaign.toml", "LAB.toml", "PLAN.toml")
@@ -149,14 +148,17 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
     campaign, tumble, lab, _ = texts.values()
     versions = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
     result = "three/result.json"
-    both = f"{result}\nthree/two-stage.json"
-    own, labs = {"file": "three/campaign.toml", "text": campaign}, {"file": "LAB.toml", "text": lab}
+    result_names = f"{result}\nthree/two-stage.json"
+    campaign_file, lab_file = (
+        {"file": "three/campaign.toml", "text": campaign},
+        {"file": "LAB.toml", "text": lab},
+    )
     run = {"name": "three", "run": "slow"}
     files = ["exports/slow.csv", "exports/fast.csv"]
-    rate = ["runs", 0, "rate"]
+    rate_path = ["runs", 0, "rate"]
     signer = (folder / "signer.pem").read_bytes()
     key = {"name": "signer.pem", "content": b64encode(signer).decode()}
-    asked: dict[str, tuple[str, str, Any]] = {
+    requests: dict[str, tuple[str, str, Any]] = {
         "session": ("POST", SESSION_PATH, {"token": TOKEN}),
         "ticket": ("GET", f"{TICKET_PATH}{TICKET}", {}),
         "files": (
@@ -168,7 +170,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "asset": ("GET", "/assets/main.js", {}),
         "style": ("GET", "/assets/report.css", {}),
     }
-    said: dict[str, list[Any]] = {
+    parameters_by_endpoint: dict[str, list[Any]] = {
         "GET folder": [{}],
         "GET campaign": [{"name": "three"}, {"name": "tumble"}],
         "POST copy": [{"name": "three", "to": "copied"}],
@@ -183,18 +185,18 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "GET lab": [{"file": "LAB.toml", "result": result}, {"file": "new.toml", "result": result}],
         "GET plan-text": [{"name": "PLAN.toml"}],
         "POST check": [
-            own,
-            labs | {"result": result},
+            campaign_file,
+            lab_file | {"result": result},
             {"file": "tumble/campaign.toml", "text": tumble},
         ],
         "POST change": [
-            own | {"path": ["centrifuge", "radius"], "value": "3 m"},
-            own | {"path": rate, "value": "1.5 rev/s"},
-            own
+            campaign_file | {"path": ["centrifuge", "radius"], "value": "3 m"},
+            campaign_file | {"path": rate_path, "value": "1.5 rev/s"},
+            campaign_file
             | {"path": ["runs", 3], "value": {"name": "x", "rate": "1 rev/s", "record": "x.csv"}},
-            own | {"path": ["accelerometers", "Qx", "bias"], "value": None},
-            own | {"path": ["model", "priors", "K_O"], "value": "1 g/g"},
-            labs
+            campaign_file | {"path": ["accelerometers", "Qx", "bias"], "value": None},
+            campaign_file | {"path": ["model", "priors", "K_O"], "value": "1 g/g"},
+            lab_file
             | {
                 "path": ["certificate", "issue_date"],
                 "value": "2026-03-01",
@@ -203,20 +205,21 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             },
         ],
         "PUT text": [
-            own | {"text": campaign + "\n# mine\n", "version": versions["three/campaign.toml"]},
-            labs | {"text": lab + "#\n", "version": versions["LAB.toml"], "result": result},
-            labs | {"file": "new/LAB.toml", "version": "", "result": result},
+            campaign_file
+            | {"text": campaign + "\n# mine\n", "version": versions["three/campaign.toml"]},
+            lab_file | {"text": lab + "#\n", "version": versions["LAB.toml"], "result": result},
+            lab_file | {"file": "new/LAB.toml", "version": "", "result": result},
         ],
         "GET page": [
             {"kind": "result", "names": result},
-            {"kind": "comparison", "names": both},
-            {"kind": "history", "names": both, "term": "K_II"},
+            {"kind": "comparison", "names": result_names},
+            {"kind": "history", "names": result_names, "term": "K_II"},
             {"kind": "forecast", "names": "three/campaign.toml"},
             {"kind": "study", "names": "three/study.json"},
         ],
         "GET picture": [
             {"kind": "result", "names": result, "place": "0"},
-            {"kind": "history", "names": both, "term": "K_I", "place": "0"},
+            {"kind": "history", "names": result_names, "term": "K_I", "place": "0"},
         ],
         "POST what-if": [
             {"name": result, "accelerometer": "Qx"},
@@ -246,8 +249,8 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             {"result": result, "lab": "odd/LAB.toml", "output": "new.xml"},
         ],
         "POST certificate-preview": [
-            labs | {"result": result},
-            labs | {"result": result, "text": "[certificate]\n"},
+            lab_file | {"result": result},
+            lab_file | {"result": result, "text": "[certificate]\n"},
         ],
         "POST certificate-check": [
             {"name": "three/certificate.pdf"},
@@ -274,27 +277,27 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "POST simulation": [{"name": "three", "folder": "new"}],
         "DELETE jobs": [{"number": 1}],
     }
-    for key, some in said.items():
+    for key, parameter_sets in parameters_by_endpoint.items():
         method, _, name = key.partition(" ")
-        for place, words in enumerate(some):
-            asked[f"{key} {place}"] = (method, f"/api/{name}", words)
-    return asked
+        for index, parameters in enumerate(parameter_sets):
+            requests[f"{key} {index}"] = (method, f"/api/{name}", parameters)
+    return requests
 
 
-# Requests, valid and changed
+# Valid and mutated requests
 
 
-def request_of(method: str, path: str, said: Any) -> dict[str, Any]:
+def make_request(method: str, path: str, parameters: Any) -> dict[str, Any]:
     """Return a request as the page sends it."""
     body = b""
-    if method == "GET" and said:
-        path = f"{path}?{urlencode(said)}"
+    if method == "GET" and parameters:
+        path = f"{path}?{urlencode(parameters)}"
     elif method != "GET":
-        body = said if isinstance(said, bytes) else json.dumps(said).encode()
+        body = parameters if isinstance(parameters, bytes) else json.dumps(parameters).encode()
     headers = [["host", HOST], ["authorization", f"Bearer {KEY}"]]
     if method != "GET":
-        kind = "application/octet-stream" if isinstance(said, bytes) else _FORM
-        headers += [["origin", f"http://{HOST}"], ["content-type", kind]]
+        content_type = "application/octet-stream" if isinstance(parameters, bytes) else _JSON_TYPE
+        headers += [["origin", f"http://{HOST}"], ["content-type", content_type]]
         headers += [["content-length", str(len(body))]]
     return {
         "method": method,
@@ -307,67 +310,74 @@ def request_of(method: str, path: str, said: Any) -> dict[str, Any]:
     }
 
 
-def _changed(rng: Random, valid: tuple[str, str, Any], others: list[Any]) -> dict[str, Any]:
-    """Return a request that is changed in one way or another, or as it is."""
-    method, path, said = valid
-    kind = rng.random()
-    if kind < 0.45 and isinstance(said, dict):
-        said = _other_words(rng, said, others)
-    request = request_of(method, path, _texts(said) if method == "GET" else said)
-    if 0.45 <= kind < 0.6:
-        _change_bytes(rng, request)
-    elif 0.6 <= kind < 0.75:
-        _change_headers(rng, request)
-    elif 0.75 <= kind < 0.85:
-        _change_target(rng, request)
-    elif 0.85 <= kind < 0.92:
+def _mutate_request(rng: Random, valid: tuple[str, str, Any], donors: list[Any]) -> dict[str, Any]:
+    """Return a request, possibly mutated."""
+    method, path, parameters = valid
+    choice = rng.random()
+    if choice < 0.45 and isinstance(parameters, dict):
+        parameters = _mutate_parameters(rng, parameters, donors)
+    request = make_request(
+        method, path, _query_texts(parameters) if method == "GET" else parameters
+    )
+    if 0.45 <= choice < 0.6:
+        _mutate_body(rng, request)
+    elif 0.6 <= choice < 0.75:
+        _mutate_headers(rng, request)
+    elif 0.75 <= choice < 0.85:
+        _mutate_target(rng, request)
+    elif 0.85 <= choice < 0.92:
         request["pieces"] = rng.choice((2, 7, 40))
         request["gone"] = rng.random() < 0.7
     return request
 
 
-def _other_words(rng: Random, said: dict[str, Any], others: list[Any]) -> Any:
-    """Return a form with other names, texts and values."""
-    kind = rng.randrange(4)
-    if kind < 2:
-        said = dict(said)
-        key = rng.choice(sorted(said) or ["name"])
-        value = said.get(key)
+def _mutate_parameters(rng: Random, parameters: dict[str, Any], donors: list[Any]) -> Any:
+    """Return parameters with other names, texts and values."""
+    mutation = rng.randrange(4)
+    if mutation < 2:
+        parameters = dict(parameters)
+        key = rng.choice(sorted(parameters) or ["name"])
+        value = parameters.get(key)
         if isinstance(value, str) and len(value) > 300:
-            said[key] = mutate_text(rng, value)
+            parameters[key] = mutate_text(rng, value)
         elif isinstance(value, list):
-            said[key] = [rng.choice(NAMES) if rng.random() < 0.5 else one for one in value]
+            parameters[key] = [
+                rng.choice(HOSTILE_NAMES) if rng.random() < 0.5 else name for name in value
+            ]
         else:
-            said[key] = rng.choice(NAMES if rng.random() < 0.7 else HOSTILE)
-        return said
-    if kind == 2:
-        return mutate_tree(rng, said, others)
-    return mutate_tree(rng, mutate_tree(rng, said, others), others)
+            parameters[key] = rng.choice(HOSTILE_NAMES if rng.random() < 0.7 else HOSTILE_VALUES)
+        return parameters
+    if mutation == 2:
+        return mutate_tree(rng, parameters, donors)
+    return mutate_tree(rng, mutate_tree(rng, parameters, donors), donors)
 
 
-def _texts(said: Any) -> dict[str, str]:
-    """Return the words of a query."""
-    some = said if isinstance(said, dict) else {"name": said}
-    return {_sent(str(key)): _sent(str(value)) for key, value in some.items()}
+def _query_texts(parameters: Any) -> dict[str, str]:
+    """Return the parameters of a query as text."""
+    named_parameters = parameters if isinstance(parameters, dict) else {"name": parameters}
+    return {
+        _to_encodable(str(key)): _to_encodable(str(value))
+        for key, value in named_parameters.items()
+    }
 
 
-def _sent(text: str) -> str:
-    """Return a text that can be encoded; what is none stays as its bytes."""
+def _to_encodable(text: str) -> str:
+    """Return a text that can be encoded; surrogates become their bytes in Latin-1."""
     return text.encode("utf-8", "surrogatepass").decode("latin-1") if "\ud800" in text else text
 
 
-def _change_bytes(rng: Random, request: dict[str, Any]) -> None:
+def _mutate_body(rng: Random, request: dict[str, Any]) -> None:
     if request["body"]:
         body = mutate_bytes(rng, request["body"].encode("latin-1"))
         request["body"] = body.decode("latin-1")
         if rng.random() < 0.7:
-            _set(request, "content-length", str(len(body)))
+            _set_header(request, "content-length", str(len(body)))
     else:
         target = mutate_bytes(rng, request["target"].encode()).decode("latin-1")
         request["target"] = "/" + target.lstrip("/")
 
 
-_PATHS = (
+_HOSTILE_PATHS = (
     *(
         "/api/",
         "/api",
@@ -404,15 +414,15 @@ _METHODS = (
 )
 
 
-def _change_target(rng: Random, request: dict[str, Any]) -> None:
-    kind = rng.randrange(4)
-    if kind == 0:
+def _mutate_target(rng: Random, request: dict[str, Any]) -> None:
+    mutation = rng.randrange(4)
+    if mutation == 0:
         request["method"] = rng.choice(_METHODS)
-    elif kind == 1:
-        request["target"] = rng.choice(_PATHS)
-    elif kind == 2:
+    elif mutation == 1:
+        request["target"] = rng.choice(_HOSTILE_PATHS)
+    elif mutation == 2:
         path, _, query = request["target"].partition("?")
-        name = quote(rng.choice(NAMES).encode("utf-8", "surrogatepass"))
+        name = quote(rng.choice(HOSTILE_NAMES).encode("utf-8", "surrogatepass"))
         request["target"] = rng.choice(
             (
                 f"{path}?name={name}",
@@ -429,8 +439,8 @@ def _change_target(rng: Random, request: dict[str, Any]) -> None:
         request["target"] = "/api/" + rng.choice(sorted(ENDPOINTS))[1]
 
 
-#: Headers that tell of a stranger: none of these may get anything of the folder.
-_STRANGERS: tuple[tuple[str, str | None], ...] = (
+#: Headers of unauthorised requests, which must not return any content of the folder.
+_UNAUTHORISED_HEADERS: tuple[tuple[str, str | None], ...] = (
     *(
         ("host", host)
         for host in ("example.org", f"example.org:{PORT}", "127.0.0.1", "", "[::]:8765")
@@ -460,7 +470,7 @@ _STRANGERS: tuple[tuple[str, str | None], ...] = (
     *(("sec-fetch-site", site) for site in ("cross-site", "same-site", "none of these")),
 )
 
-_HEADERS = (
+_HOSTILE_HEADERS = (
     *(
         ("content-length", length)
         for length in ("-1", "0", "1", "99999999999", "1e3", "", "\xb2", "x" * 9)
@@ -485,29 +495,31 @@ _HEADERS = (
 )
 
 
-def _change_headers(rng: Random, request: dict[str, Any]) -> None:
+def _mutate_headers(rng: Random, request: dict[str, Any]) -> None:
     if rng.random() < 0.6:
-        name, value = rng.choice(_STRANGERS)
+        name, value = rng.choice(_UNAUTHORISED_HEADERS)
         request["stranger"] = name
     else:
-        name, value = rng.choice(_HEADERS)
+        name, value = rng.choice(_HOSTILE_HEADERS)
     if value is None:
-        request["headers"] = [one for one in request["headers"] if one[0] != name]
+        request["headers"] = [header for header in request["headers"] if header[0] != name]
     elif rng.random() < 0.8:
-        _set(request, name, value)
+        _set_header(request, name, value)
     else:
         request["headers"].append([name, value])
 
 
-def _set(request: dict[str, Any], name: str, value: str) -> None:
-    request["headers"] = [one for one in request["headers"] if one[0] != name] + [[name, value]]
+def _set_header(request: dict[str, Any], name: str, value: str) -> None:
+    request["headers"] = [header for header in request["headers"] if header[0] != name] + [
+        [name, value]
+    ]
 
 
 # The format
 
 
-def write_odd(folder: Path) -> None:
-    """Add to a folder what nobody expects: links that lead out, pipes, names that are no text."""
+def write_hostile_files(folder: Path) -> None:
+    """Add hostile entries to a folder: links to the outside, pipes, names that are not text."""
     outside = folder.parent / "outside"
     outside.mkdir(exist_ok=True)
     for name in ("secret.toml", "secret.json", "secret.csv"):
@@ -524,21 +536,21 @@ def write_odd(folder: Path) -> None:
     for name in (b"\xff.json", b"\xff.toml", b"\xff.csv"):
         with open(os.path.join(os.fsencode(folder), name), "w") as file:  # noqa: PTH118, PTH123
             file.write("x = 1\n")
-    odd = folder / "odd"
-    odd.mkdir()
+    hostile_folder = folder / "odd"
+    hostile_folder.mkdir()
     text = (folder / "three" / "campaign.toml").read_text(encoding="utf-8")
     text = text.replace('record = "slow.csv"', 'record = "../../outside/secret.csv"')
-    (odd / "campaign.toml").write_text(text, encoding="utf-8")
-    (odd / "sub").symlink_to(outside)
+    (hostile_folder / "campaign.toml").write_text(text, encoding="utf-8")
+    (hostile_folder / "sub").symlink_to(outside)
     lab = (folder / "LAB.toml").read_text(encoding="utf-8")
     lab = lab.replace("[certificate]\n", '[certificate]\nledger = "sub/ledger.jsonl"\n')
-    (odd / "LAB.toml").write_text(lab, encoding="utf-8")
+    (hostile_folder / "LAB.toml").write_text(lab, encoding="utf-8")
     (folder / "linked").mkdir()
     (folder / "linked" / "campaign.toml").symlink_to(outside / "campaign.toml")
 
 
-#: What takes more than 50 ms is asked a tenth as often.
-_DEAR = (
+#: Requests that take more than 50 ms, which are drawn ten times less often.
+_SLOW_REQUESTS = (
     "GET page",
     "GET picture",
     "GET check",
@@ -552,16 +564,16 @@ _DEAR = (
 )
 
 
-def case(rng: Random, valid: dict[str, tuple[str, str, Any]], others: list[Any]) -> bytes:
-    """Return some requests in a row, as JSON."""
-    count = rng.choice((1, 1, 1, 2, 3))
-    weights = [0.1 if name.startswith(_DEAR) else 1.0 for name in valid]
-    chosen = rng.choices(list(valid.values()), weights, k=count)
-    return json.dumps([_changed(rng, one, others) for one in chosen]).encode()
+def draw_case(rng: Random, valid: dict[str, tuple[str, str, Any]], donors: list[Any]) -> bytes:
+    """Return a sequence of requests as JSON."""
+    n_requests = rng.choice((1, 1, 1, 2, 3))
+    weights = [0.1 if name.startswith(_SLOW_REQUESTS) else 1.0 for name in valid]
+    selected = rng.choices(list(valid.values()), weights, k=n_requests)
+    return json.dumps([_mutate_request(rng, request, donors) for request in selected]).encode()
 
 
-def write_served(folder: Path) -> None:
-    """Write a folder with something of each kind: campaigns, results, records, plan, laboratory."""
+def write_served_folder(folder: Path) -> None:
+    """Write a folder with campaigns, results, records, a plan and a laboratory file."""
     write_folder(folder, folder.parent / "plan")
     calibrate(folder / "three", method="two-stage").write(folder / "three" / "two-stage.json")
     study(folder / "three", trials=4).write(folder / "three" / "study.json")
@@ -576,64 +588,71 @@ def write_served(folder: Path) -> None:
     (folder / "signer.pem").write_bytes(key.read_bytes() + cert.read_bytes())
     text = (files("counterspin.planning") / "starter.toml").read_text("utf-8")
     (folder / "PLAN.toml").write_text(text.replace("runs = 14", "runs = 2"), encoding="utf-8")
-    write_odd(folder)
+    write_hostile_files(folder)
 
 
-def prepared(place: Path) -> tuple[Path, WatchedFolder]:
-    """Return a folder as each case finds it, and the one that is served, below a place."""
-    template = place / "template"
+def prepare_folders(parent: Path) -> tuple[Path, WatchedFolder]:
+    """Write the template of the served folder, and the served folder, below `parent`."""
+    template = parent / "template"
     template.mkdir()
-    write_served(template)
-    (place / "served").mkdir()
-    shutil.copytree(place / "outside", place / "served" / "outside")
-    return template, WatchedFolder(place / "served" / "folder", template)
+    write_served_folder(template)
+    (parent / "served").mkdir()
+    shutil.copytree(parent / "outside", parent / "served" / "outside")
+    return template, WatchedFolder(parent / "served" / "folder", template)
 
 
-def with_ticket(app_state: InlineAppState, sent: str) -> str:
-    """Return what is sent, with a ticket that counts where one is to stand."""
-    if TICKET not in sent:
-        return sent
-    return sent.replace(TICKET, app_state.tickets.issue(("file", {"name": "three/result.json"})))
+def insert_ticket(app_state: InlineAppState, text: str) -> str:
+    """Return the text of a request with its placeholder replaced by a valid ticket."""
+    if TICKET not in text:
+        return text
+    return text.replace(TICKET, app_state.tickets.issue(("file", {"name": "three/result.json"})))
 
 
-def application(place: Path) -> Format:
-    """Return requests to the application."""
-    template, watched = prepared(place)
+def requests_format(parent: Path) -> Format:
+    """Return the format of requests to the application."""
+    template, watched = prepare_folders(parent)
     valid = valid_requests(template)
-    others = [said for _, _, said in valid.values() if isinstance(said, dict) and said]
+    donors = [
+        parameters
+        for _, _, parameters in valid.values()
+        if isinstance(parameters, dict) and parameters
+    ]
     app_state = InlineAppState(ServedFolder(watched.folder))
     server._preload_modules(app_state, threading.Event())
 
-    def use(path: Path) -> None:
+    def read(path: Path) -> None:
         requests = json.loads(path.read_bytes())
         try:
-            asyncio.run(_all(app_state, watched, requests))
+            asyncio.run(_send_requests(app_state, watched, requests))
         finally:
             watched.restore()
 
-    return Format(".json", lambda rng: case(rng, valid, others), use)
+    return Format(".json", lambda rng: draw_case(rng, valid, donors), read)
 
 
-async def _all(
+async def _send_requests(
     app_state: InlineAppState, watched: WatchedFolder, requests: list[dict[str, Any]]
 ) -> None:
-    """Ask all requests of a case; raise what is found, or that the last one was refused."""
-    raised: list[str] = []
-    entered = 0
-    before = watched.first
-    with unthreaded_application(app_state, raised) as app:
-        for number, said in enumerate(requests):
-            request = said | {"target": with_ticket(app_state, said["target"])}
-            with watched.looking():
-                answered = await send_request(app, request)
-                if request["target"].startswith(TICKET_PATH) and answered.status == 200:
-                    again = await send_request(app, request)
-                    assert again.status == 404, "a ticket counted twice"
-            entered += request["target"].startswith(SESSION_PATH) and answered.status == 200
-            assert entered <= 1, "a link counted twice"
-            before = watched.require_whole(request, answered.status, before)
+    """Send the requests of a case; raise AssertionError for a finding, or RequestRefusedError.
+
+    Only the refusal of the last request is raised.
+    """
+    tracebacks: list[str] = []
+    n_sessions = 0
+    before = watched.initial_state
+    with unthreaded_application(app_state, tracebacks) as app:
+        for index, case_request in enumerate(requests):
+            request = case_request | {"target": insert_ticket(app_state, case_request["target"])}
+            with watched.forbid_outside_access():
+                response = await send_request(app, request)
+                if request["target"].startswith(TICKET_PATH) and response.status == 200:
+                    second_response = await send_request(app, request)
+                    assert second_response.status == 404, "a ticket was accepted twice"
+            n_sessions += request["target"].startswith(SESSION_PATH) and response.status == 200
+            assert n_sessions <= 1, "a session link was accepted twice"
+            before = watched.check_changes(request, response.status, before)
             try:
-                check_answer(request, answered, "\n".join(raised))
+                check_response(request, response, "\n".join(tracebacks))
             except RequestRefusedError:
-                if number == len(requests) - 1:
+                if index == len(requests) - 1:
                     raise

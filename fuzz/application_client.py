@@ -1,9 +1,9 @@
-"""Send requests to the application in this process; check its answers and files.
+"""Send requests to the application in this process; check its responses and files.
 
 - `PORT`, `HOST`, `TOKEN`, `KEY`: address and fixed credentials, so that cases are reproducible
 - `InlineAppState`: application state that runs jobs immediately
 - `unthreaded_application`: the application, called without threads
-- `send_request`: send one request; `Answer`: its answer; `check_answer`: checks of the answer
+- `send_request`: send one request; `Response`: its response; `check_response`: check it
 - `RequestRefusedError`: a correctly refused request
 - `WatchedFolder`: checks that no outside file is accessed, and no file in the folder is lost
 """
@@ -42,7 +42,7 @@ def fixed_credentials() -> Credentials:
     return Credentials(PORT, TOKEN, KEY)
 
 
-#: Content of files outside the folder, which must not appear in any answer.
+#: Content of files outside the folder, which must not appear in any response.
 SECRET = "counterspin-fuzz-secret"
 
 
@@ -59,11 +59,11 @@ class _FirstStateMonitor:
         return {"html": "", "events": list(state.events), "complete": state.complete}
 
     def ask(self, file: Path, work: Callable[..., None], question: Any) -> Any:
-        kind, *told = run_inline(work, file, questions=[question])[-1]
+        kind, *details = run_inline(work, file, questions=[question])[-1]
         if kind == "failed":
-            assert "internal error" not in told[0], told[0]
-            raise CounterspinError(told[0])
-        return told[-1]
+            assert "internal error" not in details[0], details[0]
+            raise CounterspinError(details[0])
+        return details[-1]
 
     def end(self, file: Path) -> None:
         """Do nothing: no work is in progress."""
@@ -86,8 +86,8 @@ async def _call_directly(function: Callable[..., Any], *arguments: Any) -> Any:
     return function(*arguments)
 
 
-class Answer:
-    """Answer to a request: status (0: none), headers, body, and whether it is complete."""
+class Response:
+    """Response to a request: status (0: none), headers, body, and whether it is complete."""
 
     def __init__(self) -> None:
         self.status = 0
@@ -96,8 +96,8 @@ class Answer:
         self.ended = False
 
 
-async def send_request(app: Any, request: dict[str, Any]) -> Answer:
-    """Call the application as a server does, in this process; return its answer.
+async def send_request(app: Any, request: dict[str, Any]) -> Response:
+    """Call the application as a server does, in this process; return its response.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ async def send_request(app: Any, request: dict[str, Any]) -> Answer:
     request
         Request of a case; `gone`: the client disconnects before the last chunk.
     """
-    answer = Answer()
+    response = Response()
     path, _, query = request["target"].partition("?")
     scope = {
         "type": "http",
@@ -138,29 +138,31 @@ async def send_request(app: Any, request: dict[str, Any]) -> Answer:
 
     async def send(message: dict[str, Any]) -> None:
         if message["type"] == "http.response.start":
-            assert not answer.status, "two answers"
-            answer.status = message["status"]
-            answer.headers = {
+            assert not response.status, "two answers"
+            response.status = message["status"]
+            response.headers = {
                 n.decode("latin-1"): v.decode("latin-1") for n, v in message["headers"]
             }
         else:
-            answer.body += message.get("body", b"")
-            answer.ended = not message.get("more_body", False)
+            response.body += message.get("body", b"")
+            response.ended = not message.get("more_body", False)
 
     await app(scope, receive, send)
-    return answer
+    return response
 
 
-def check_answer(request: dict[str, Any], answer: Answer, traceback_text: str) -> None:
-    """Raise AssertionError for an incorrect answer, RequestRefusedError for a correct refusal."""
-    assert answer.status < 500, f"status {answer.status}\n{traceback_text}\n{answer.body[:500]!r}"
-    if not answer.status:
-        assert request["gone"], "no answer"
+def check_response(request: dict[str, Any], response: Response, traceback_text: str) -> None:
+    """Raise AssertionError for an incorrect response, RequestRefusedError for a correct refusal."""
+    assert response.status < 500, (
+        f"status {response.status}\n{traceback_text}\n{response.body[:500]!r}"
+    )
+    if not response.status:
+        assert request["gone"], "no response"
         return
-    assert answer.ended, "half an answer"
-    assert SECRET.encode() not in answer.body, "what is outside was told"
+    assert response.ended, "half an response"
+    assert SECRET.encode() not in response.body, "content from outside the folder was returned"
     for name in ("content-security-policy", "x-content-type-options", "cache-control"):
-        assert name in answer.headers, f"no {name}"
+        assert name in response.headers, f"no {name}"
     if request["stranger"] and (
         request["stranger"] in ("host", "origin")
         or (
@@ -168,22 +170,24 @@ def check_answer(request: dict[str, Any], answer: Answer, traceback_text: str) -
             and not request["target"].startswith(_PUBLIC_PATHS)
         )
     ):
-        assert answer.status >= 400, f"a stranger was let in by {request['stranger']}"
-    if answer.status < 400:
+        assert response.status >= 400, (
+            f"an unauthorised request was accepted ({request['stranger']})"
+        )
+    if response.status < 400:
         return
     if (
-        answer.headers.get("content-type", "").startswith("application/json")
+        response.headers.get("content-type", "").startswith("application/json")
         and request["method"] != "HEAD"
     ):
-        message = json.loads(answer.body)["error"]
+        message = json.loads(response.body)["error"]
         assert isinstance(message, str)
-        assert message, "no words"
+        assert message, "no message"
         assert "internal error" not in message, message
         assert "Traceback" not in message, message
         assert len(message) < _MAX_MESSAGE_LENGTH, (
             f"a message of {len(message)} characters\n{message[:300]}"
         )
-    raise RequestRefusedError(f"status {answer.status}")
+    raise RequestRefusedError(f"status {response.status}")
 
 
 class RequestRefusedError(CounterspinError):
@@ -218,10 +222,10 @@ class WatchedFolder:
         self.folder = folder
         self._template = template
         self._root = os.path.realpath(folder)
-        self._beside = os.path.realpath(folder.parent / "outside")
-        self._wrong: list[str] = []
+        self._outside = os.path.realpath(folder.parent / "outside")
+        self._violations: list[str] = []
         shutil.copytree(template, folder, symlinks=True, copy_function=_copy_entry)
-        self.first = self.state()
+        self.initial_state = self.state()
 
     def state(self) -> State:
         """Return path -> fingerprint of each file and folder in the folder."""
@@ -242,18 +246,18 @@ class WatchedFolder:
         return entries_by_name
 
     @contextmanager
-    def looking(self) -> Iterator[None]:
+    def forbid_outside_access(self) -> Iterator[None]:
         """Raise AssertionError if a file outside is accessed in the block."""
         _install_audit_hook()
-        self._wrong.clear()
-        _OBSERVERS.append(self._seen)
+        self._violations.clear()
+        _OBSERVERS.append(self._check_event)
         try:
             yield
         finally:
-            _OBSERVERS.remove(self._seen)
-        assert not self._wrong, self._wrong[:3]
+            _OBSERVERS.remove(self._check_event)
+        assert not self._violations, self._violations[:3]
 
-    def _seen(self, event: str, arguments: tuple[Any, ...]) -> None:
+    def _check_event(self, event: str, arguments: tuple[Any, ...]) -> None:
         is_write = event != "open"
         if event == "open":
             flags = arguments[2]
@@ -268,14 +272,14 @@ class WatchedFolder:
             base = f"/proc/self/fd/{folder_descriptor}" if folder_descriptor >= 0 else "."
             path = os.path.realpath(os.path.join(base, os.fsdecode(argument)))  # noqa: PTH118
             is_inside = path == self._root or path.startswith(self._root + os.sep)
-            if path.startswith(self._beside):
-                self._wrong.append(f"outside was touched: {event} {path}")
+            if path.startswith(self._outside):
+                self._violations.append(f"outside was touched: {event} {path}")
             elif "__pycache__" in path:  # Python compiles a module that is imported here first.
                 continue
             elif is_write and not is_inside and not path.startswith(_TEMPORARY_FOLDERS):
-                self._wrong.append(f"written outside: {event} {path}")
+                self._violations.append(f"written outside: {event} {path}")
 
-    def require_whole(self, request: dict[str, Any], status: int, before: State) -> State:
+    def check_changes(self, request: dict[str, Any], status: int, before: State) -> State:
         """Return the state; raise AssertionError if files were changed unexpectedly."""
         after = self.state()
         changed = {name for name in before | after if before.get(name) != after.get(name)}
@@ -303,25 +307,27 @@ class WatchedFolder:
         """Restore the initial content of the folder."""
         current = self.state()
         for name in sorted(current, reverse=True):
-            if current[name] != self.first.get(name):
+            if current[name] != self.initial_state.get(name):
                 path = os.path.join(self._root, name)  # noqa: PTH118
                 with suppress(FileNotFoundError):
                     (shutil.rmtree if stat.S_ISDIR(current[name][0]) else os.remove)(path)
-        if self.state() != self.first:
-            for name in self.first:
+        if self.state() != self.initial_state:
+            for name in self.initial_state:
                 path = os.path.join(self._root, name)  # noqa: PTH118
                 if not os.path.lexists(path):
                     source = os.path.join(self._template, name)  # noqa: PTH118
-                    if stat.S_ISDIR(self.first[name][0]):
+                    if stat.S_ISDIR(self.initial_state[name][0]):
                         os.mkdir(path)  # noqa: PTH102
                     else:
                         _copy_entry(source, path)
-            self.first = self.state()
+            self.initial_state = self.state()
 
 
 #: Requests that rename the files of a campaign.
 _RENAMING_PATHS = ("/api/rename", "/api/put-away", "/api/restore")
-_TEMPORARY_FOLDERS = tuple({os.path.realpath(place) for place in ("/tmp", "/dev/shm", "/dev/null")})
+_TEMPORARY_FOLDERS = tuple(
+    {os.path.realpath(folder) for folder in ("/tmp", "/dev/shm", "/dev/null")}
+)
 _OBSERVERS: list[Callable[[str, tuple[Any, ...]], None]] = []
 _IS_HOOKED: list[bool] = []
 _FILE_EVENTS = frozenset(
@@ -360,10 +366,10 @@ def unthreaded_application(app_state: InlineAppState, tracebacks: list[str]) -> 
     )
 
     def record_error(error: Exception) -> endpoints.ApiResponse:
-        made = make_error_response(error)
-        if made.status == 500:
+        response = make_error_response(error)
+        if response.status == 500:
             tracebacks.append("".join(traceback.format_exception(error)))
-        return made
+        return response
 
     server.run_in_threadpool = _call_directly  # type: ignore[assignment]
     endpoints._unexpected_error_response = record_error
