@@ -220,6 +220,50 @@ def test_dates_are_converted_to_time(tmp_path):
     assert second.time - first.time == 150.5
 
 
+def test_time_may_begin_with_day(tmp_path):
+    keys = 'columns = { attitude = "angle", reading = "mA", time = "when" }'
+    table = "angle,mA,when\n0,1.25,30.04.2024 10:00\n90,0,01.05.2024 10:02:30\n"
+    first, second = read_csv_table(tmp_path, table, keys)
+    assert second.time - first.time == 86550.0
+
+
+@pytest.mark.parametrize("cell", ["30°", "30 deg", "1800 arcmin", "30 ± 0 deg about north"])
+def test_angle_may_have_its_unit(tmp_path, cell):
+    keys = SIMPLE + '\nabout = "north"\nu_attitude = "2 arcsec"'
+    written, plain = read_csv_table(tmp_path, f"angle,mA\n{cell},1\n30,1\n", keys)
+    assert written.head_angle == pytest.approx(plain.head_angle)
+    assert written.head == plain.head
+    if "about" not in cell:
+        assert written.u_head == pytest.approx(plain.u_head)
+
+
+@pytest.mark.parametrize(
+    ("names", "keys", "unit", "stated"),
+    [
+        ("angle_rad,mA", 'attitude = "angle_rad", reading = "mA"', "rad", "deg"),
+        ("angle [rad],mA", 'attitude = "angle [rad]", reading = "mA"', "rad", "deg"),
+        ("angle,uA", 'attitude = "angle", reading = "uA"', "uA", "mA"),
+        ("angle,out (V)", 'attitude = "angle", reading = "out (V)"', "V", "mA"),
+    ],
+)
+def test_unit_in_column_name_differs_from_description(tmp_path, names, keys, unit, stated):
+    (problem,) = read_problems(tmp_path, f"{names}\n0,1\n1,0.5\n", f"columns = {{ {keys} }}")
+    assert problem.endswith(
+        f"is in {unit} according to its name, but in {stated} according to the description"
+    )
+
+
+@pytest.mark.parametrize("name", ["n [1/min]", "n_rpm", "n_min", "rate"])
+def test_unit_in_column_name_agrees_with_description(tmp_path, name):
+    keys = f"""motion = "arm"
+rate_unit = "rpm"
+columns = {{ rate = "{name}", reading = "mA" }}
+axes = {{ input = "inward", pendulous = "up" }}
+"""
+    (reading,) = read_csv_table(tmp_path, f"{name},mA\n60,5\n", keys)
+    assert reading.rate == pytest.approx(2.0 * math.pi)
+
+
 def test_empty_rows_are_ignored(tmp_path):
     assert len(read_csv_table(tmp_path, "angle,mA\n0,1.25\n,\n90,0\n")) == 2
 
@@ -421,6 +465,11 @@ SLIPS = {
         "angle,mA\n0,1.25 V\n",
         SIMPLE,
         "readings.\"r.csv line 2\".reading.A: 'V' cannot be converted to mA",
+    ),
+    "a time without a date": (
+        "angle,mA,t\n0,1.25,10:20\n",
+        'columns = { attitude = "angle", reading = "mA", time = "t" }',
+        "line 2\".time: '10:20' is not a date and time; write 2026-03-01 10:20:00, or seconds",
     ),
     "a sheet of no workbook": (
         "angle,mA\n0,1.25\n",

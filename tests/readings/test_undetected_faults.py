@@ -193,3 +193,10 @@ def test_step_of_accelerometer_during_poses_has_stated_shift(tmp_path):
     ).accelerometers["X"]
     moved = abs(other.coefficients["K_F"].value - usual.coefficients["K_F"].value) / PART
     assert moved == pytest.approx(1e-6 * float(shift), rel=0.05)
+
+
+def test_readings_that_determine_nothing_have_no_faults(tmp_path):
+    runs = (format_rest_run(f"p{k}", f"{30 * k} deg about north", "1 ± 1000 g") for k in range(12))
+    result = calibrate(write_description(tmp_path, "".join([TUMBLE, *runs])).parent)
+    assert result.state == "not-determined"
+    assert result.accelerometers["A"].unseen_faults == []

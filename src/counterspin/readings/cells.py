@@ -22,6 +22,9 @@ BLANK: Final = "?"
 #: Pattern of a number with a decimal comma.
 DECIMAL_COMMA_PATTERN: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
 
+#: Date with points, which begins with the day: 01.03.2026.
+_DAY_FIRST_DATE: Final = r"^(\d\d)\.(\d\d)\.(\d{4})"
+
 _UTC: Final = datetime.UTC
 
 
@@ -82,8 +85,9 @@ SENSE_WORDS: Final[Mapping[str, Sense]] = {
 def to_seconds(value: Any) -> Any:
     """Return a date and time in seconds from an arbitrary origin; other values are unchanged."""
     if isinstance(value, str):
+        text = re.sub(_DAY_FIRST_DATE, r"\3-\2-\1", value.strip())
         try:
-            value = datetime.datetime.fromisoformat(value.strip())
+            value = datetime.datetime.fromisoformat(text)
         except ValueError:
             return value
     if isinstance(value, datetime.datetime):
@@ -92,7 +96,7 @@ def to_seconds(value: Any) -> Any:
 
 
 #: Unit of a rate in revolutions -> unit with explicit revolutions.
-_REVOLUTION_UNITS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
+REVOLUTION_UNITS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
 
 
 class RateSettings(Protocol):
@@ -124,11 +128,11 @@ class RateColumn:
 
     def _exact(self, value: float) -> tuple[float, str, float]:
         """Return a rate, its unit, and the exponent of the number in the rate."""
-        unit = _REVOLUTION_UNITS.get(self.settings.rate_unit, self.settings.rate_unit)
-        if _is_convertible(unit, "s"):
+        unit = REVOLUTION_UNITS.get(self.settings.rate_unit, self.settings.rate_unit)
+        if is_convertible(unit, "s"):
             return 1.0 / (value * unit_factor(unit, "s")), "rev/s", -1.0
         gravity = self._gravity
-        if not _is_convertible(unit, "m/s^2", gravity=gravity):
+        if not is_convertible(unit, "m/s^2", gravity=gravity):
             unit_factor(unit, "rad/s")
             return value, unit, 1.0
         if value < 0.0:
@@ -152,8 +156,9 @@ class RateColumn:
 
 
 @lru_cache(maxsize=64)
-def _is_convertible(unit: str, target_unit: str, *, gravity: float | None = None) -> bool:
+def is_convertible(unit: str, target_unit: str, *, gravity: float | None = None) -> bool:
+    """Return whether two units measure the same quantity."""
     try:
         return unit_factor(unit, target_unit, gravity=gravity) > 0.0
-    except ValueError:
+    except (KeyError, ValueError):
         return False

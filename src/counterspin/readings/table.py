@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from counterspin.campaign.columns import Sense
 from counterspin.campaign.documents import KeyPath, list_of, table_of, to_toml_value
 from counterspin.campaign.field_types import parse_exact
-from counterspin.campaign.quantity import HeadTurn, Quantity, read_direction
+from counterspin.campaign.quantity import HeadTurn, Quantity, parse_quantity, read_direction
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
 from counterspin.campaign.validation import Problems, suggest_name
@@ -23,9 +23,11 @@ from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.readings.cells import (
     BLANK,
     DECIMAL_COMMA_PATTERN,
+    REVOLUTION_UNITS,
     SENSE_WORDS,
     RateColumn,
     cell_text,
+    is_convertible,
     is_empty,
     mounting_name,
     parse_number,
@@ -36,6 +38,7 @@ from counterspin.readings.entries import MAX_READINGS
 from counterspin.readings.section import COLUMNS, TABLE_ENDINGS, MountingSettings, ReadingsSettings
 from counterspin.records.dialect import Dialect
 from counterspin.records.memory import iter_columns
+from counterspin.records.unit_notation import bracketed_unit, unit_in_name
 from counterspin.units import is_same_unit, unit_factor
 
 if TYPE_CHECKING:
@@ -85,8 +88,7 @@ def read_table(
         )
         return
     rows = ReadingsTable(settings, accelerometers, problems, document)
-    if table.units:
-        rows.check_units(table.units)
+    rows.check_units(table.units)
     yield from rows.runs(frame.columns, frame.iter_rows(named=True), locations)
 
 
@@ -146,6 +148,7 @@ def insert_readings(document: dict[str, Any], frame: Any, problems: Problems) ->
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     outputs = {name: _stated_output(table) for name, table in tables.items()}
     table = ReadingsTable(settings, outputs, problems, document)
+    table.check_units({})
     new_runs = [run for run, _ in table.runs(list(columns), rows)]
     new_runs = to_toml_value(new_runs, ("readings",), problems.add)
     document["runs"] = [*list_of(document, "runs"), *new_runs]
@@ -382,7 +385,7 @@ class ReadingsTable:
                 problems.collect(("readings", key), _check_uncertainty, text, unit)
 
     def check_units(self, units: Mapping[str, str]) -> None:
-        """Report columns whose unit in the units row differs from the description."""
+        """Report columns whose unit in the units row or name differs from the description."""
         described_units = {
             self.columns.get("attitude"): self.settings.attitude_unit,
             self.columns.get("head"): self.settings.attitude_unit,
@@ -398,12 +401,14 @@ class ReadingsTable:
                     output = self.accelerometers.get(name)
                     described_units |= dict.fromkeys(columns, output.unit if output else "g")
         for column, unit in described_units.items():
-            unit_in_table = units.get(column or "")
-            if unit_in_table and not is_same_unit(unit_in_table, unit):
+            row_unit, name_unit = units.get(column or ""), _unit_of_name(column or "", unit)
+            table_unit = row_unit or name_unit
+            if table_unit and not is_same_unit(*map(_with_revolutions, (table_unit, unit))):
                 self.problems.add(
                     ("readings", "columns"),
-                    f'{self.settings.file}: column "{column}" is in {unit_in_table} according to '
-                    f"the units row, but in {unit} according to the description",
+                    f'{self.settings.file}: column "{column}" is in {table_unit} according to '
+                    f"{'the units row' if row_unit else 'its name'}, but in {unit} according to "
+                    "the description",
                     "unit-mismatch",
                 )
 
@@ -442,11 +447,11 @@ class ReadingsTable:
         elif (angle := parse_number(attitude)) is not None:
             run["attitude"] = self._head_turn(angle)
         else:
-            run["attitude"] = cell_text(attitude)
+            run["attitude"] = self._attitude(cell_text(attitude))
         for key, unit in STATED_CONDITIONS.items():
             if (value := cell(key)) is not None:
                 if key == "time":
-                    value = to_seconds(value)
+                    value = self._time(value, (*path, key))
                 number = parse_number(value)
                 run[key] = cell_text(value) if number is None else Quantity(number, 0.0, unit)
         readings = self.value_columns("reading")
@@ -507,6 +512,23 @@ class ReadingsTable:
             Quantity(angle, self._u_attitude, self.settings.attitude_unit), self.settings.about
         )
 
+    def _attitude(self, text: str) -> HeadTurn | str:
+        """Return an angle with its unit, such as 30°, as a rotation; other text is unchanged."""
+        try:
+            angle = parse_quantity(text, "rad")
+        except ValueError:
+            return text
+        u = self._u_attitude * unit_factor(self.settings.attitude_unit, "rad")
+        return HeadTurn(Quantity(angle.value, angle.u or u, "rad"), self.settings.about)
+
+    def _time(self, value: Any, path: KeyPath) -> Any:
+        """Return a date and time in seconds, and report a time of day without a date."""
+        value = to_seconds(value)
+        if isinstance(value, str) and ":" in value:
+            text = f"{value!r} is not a date and time; write 2026-03-01 10:20:00, or seconds"
+            self.problems.add(path, text, "not-numeric")
+        return value
+
     @cached_property
     def _u_attitude(self) -> float:
         """Standard uncertainty of a head angle, in the unit of the angle."""
@@ -565,3 +587,17 @@ def _mounting_columns(mounting: MountingSettings) -> dict[str, str]:
     """Return key -> column of a mounting."""
     columns = {"reading": mounting.reading, "u": mounting.u}
     return {key: column for key, column in columns.items() if column}
+
+
+def _unit_of_name(column: str, unit: str) -> str:
+    """Return the unit in the name of a column whose unit is stated; empty without one.
+
+    Without brackets, the end of a name is a unit only if it measures the same quantity.
+    """
+    name_unit = unit_in_name(column)
+    is_known = is_convertible(_with_revolutions(name_unit), _with_revolutions(unit), gravity=9.8)
+    return bracketed_unit(column) or (name_unit if is_known else "")
+
+
+def _with_revolutions(unit: str) -> str:
+    return REVOLUTION_UNITS.get(unit, unit)

@@ -92,6 +92,8 @@ def find_undetected_faults(views: Sequence[AccelerometerView]) -> dict[str, list
                 continue  # The fault is all or nothing, and the tests would detect it.
             for view in views:
                 symbol, shift, ratio = largest_shift(view, (), size * shifts[:, column_index])
+                if not symbol:
+                    continue  # The readings determine no coefficient.
                 ratio *= _noise_shrinkage(view, fit, symbol, group, size * norm)
                 expected_size = _expected_size(
                     column,
@@ -159,7 +161,7 @@ def _noise_shrinkage(
 
     effect: Remainder of the fault in the residuals, in standard deviations.
     """
-    if not symbol or group.has_external_noise or not effect:
+    if group.has_external_noise or not effect:
         return 1.0
     index = view.indices[symbol]
     variance = float(view.fit.solution.covariance[index, index])
