@@ -235,6 +235,14 @@ def test_saturated_fit_is_unjudged(tmp_path):
     assert "After the fit of 4 readings, 1 degree of freedom remains" in four.findings[0].text
 
 
+def test_readings_without_redundancy_blame_no_term(tmp_path):
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        values = simulate_readings(make_tumble(4), rng, SIGMA, truth=LEVEL)
+        result = calibrate_readings(tmp_path, evenly_spaced_angles(4), values, assume=[])
+        assert [f.code for f in result.findings] == ["unjudged-readings"]
+
+
 def test_warm_up_is_named(tmp_path):
     values = simulate_readings(make_tumble(24), np.random.default_rng(5), SIGMA, truth=LEVEL)
     values += 20.0 * SIGMA * np.exp(-np.arange(24) / 2.3)
@@ -249,6 +257,20 @@ def test_single_outlying_reading_is_not_pattern(tmp_path):
     values[0] += 100.0 * SIGMA
     result = calibrate_readings(tmp_path, evenly_spaced_angles(24), values)
     assert [f.code for f in result.findings] == ["outlying-reading"]
+
+
+@pytest.mark.parametrize("indices", [(7,), (7, 16)])
+def test_gross_errors_are_named_among_default_priors(tmp_path, indices):
+    values = simulate_readings(make_tumble(24), np.random.default_rng(6), SIGMA, truth=LEVEL)
+    values[list(indices)] += 150.0 * SIGMA
+    head = '[model.priors]\n"head.harmonic" = "0 ± 1e-6 rad"\n'
+    result = calibrate_readings(
+        tmp_path, evenly_spaced_angles(24), values, u=SIGMA, assume=[], more=[head]
+    )
+    named = [f.subject for f in result.findings if f.code == "outlying-reading"]
+    assert set(named) == {f"A.at {index}" for index in indices}
+    assert result.findings[0].code == "outlying-reading"
+    assert result.state == "contradicted"
 
 
 def test_missing_cubic_term_on_arm_is_named(tmp_path):

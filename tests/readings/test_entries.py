@@ -228,6 +228,13 @@ SLIPS = {
 }
 
 
+def test_overloaded_meter_raises(tmp_path):
+    for text in (RUN.replace("1.082532 ± 2e-6", "9.9E+37"), RUN.replace("1.082532", "1e9")):
+        (problem,) = read_problems(tmp_path, HEAD + text)
+        assert problem.startswith("runs[0].reading: is ")
+        assert "g for A, which is impossible; check the sensitivity" in problem
+
+
 @pytest.mark.parametrize("slip", SLIPS)
 def test_invalid_entry_raises_with_key(tmp_path, slip):
     text, message = SLIPS[slip]

@@ -34,6 +34,9 @@ from counterspin.readings.similar_rows import attitude_keys, convert_rows, row_p
 MAX_READINGS: Final = 10_000
 MAX_RECORDS: Final = 60
 
+#: Largest reading, g; meters show larger numbers if they are overloaded.
+_MAX_READING: Final = 1e6
+
 
 def find_contradictions(run: Run) -> Iterator[Contradiction]:
     """Yield missing, superfluous and contradictory keys of a run that is a reading."""
@@ -160,6 +163,13 @@ def collect_readings(
     readings: list[Reading] = []
     for path, run_readings in resolved:
         readings += run_readings
+        for reading in run_readings:
+            if abs(reading.value) > _MAX_READING:
+                message = (
+                    f"is {reading.value:.2g} g for {reading.accelerometer}, which is impossible; "
+                    "check the sensitivity, and whether the meter was overloaded (9.9E+37)"
+                )
+                problems.add((*path, "reading"), message, "value-out-of-range")
         if any(math.isnan(reading.value) for reading in run_readings):
             blank_paths.append((*path, "reading"))
     if blank_paths and turns is None:

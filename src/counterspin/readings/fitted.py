@@ -32,6 +32,12 @@ _MIN_REMAINDER: Final = 1e-6
 #: Variance of a combined residual relative to its readings below which the fit absorbs it.
 _MIN_RELATIVE_VARIANCE: Final = 1e-9
 
+#: Largest number of readings with gross errors that may explain the deviations of others.
+_MAX_GROSS_ERRORS: Final = 3
+
+#: Smallest gross error relative to the largest one, whose effect is known to first order.
+_MIN_RELATIVE_ERROR: Final = 0.1
+
 #: Fraction of good campaigns in which a position or a reading is reported as an outlier.
 _POSITION_SIGNIFICANCE: Final = 0.5 * SIGNIFICANCE
 
@@ -81,6 +87,8 @@ class FittedReadings:
     chi2: float = math.nan  #: Chi-square of the residuals, with noise and considered terms.
     single_readings: tuple[Position, ...] = ()  #: Each reading by itself.
     positions: tuple[Position, ...] = ()  #: Each position with several readings.
+    #: Readings without which no other one is an outlier; empty: no few readings.
+    gross_errors: tuple[Position, ...] = ()
 
     def index_in(self, fit: JointFit) -> int | None:
         """Return the index among the observations of a fit; None if the fit lacks the group."""
@@ -138,8 +146,10 @@ class FittedReadings:
         positions = evaluate_positions(
             linear, [*single_readings, *group.replicates], solution, model, noise
         )
+        outlier_count = sum(position.p < significance(positions) for position in positions)
         return replace(
             self,
+            gross_errors=_gross_errors(linear, fit, positions) if outlier_count > 1 else (),
             linear=linear,
             residual_dof=linear.residual_dof(solution),
             residuals=linear.residuals(solution, model),
@@ -158,18 +168,21 @@ class FittedReadings:
 
         Each reading, and each position with several readings, is compared with the noise of the
         other readings (externally studentised). All these tests share the significance level.
-        Without sufficient degrees of freedom of the noise, there are no outliers.
+        Without sufficient degrees of freedom of the noise, there are no outliers. If a few gross
+        errors explain all outliers, only they are returned.
         """
         if self.noise_dof < MIN_DOF:
             return []
         positions = [*self.positions, *self.single_readings]
+        level = significance(positions)
+        if self.gross_errors and self.has_external_noise:
+            positions = list(self.gross_errors)
         z = [position.studentized for position in positions]
-        significance = _POSITION_SIGNIFICANCE / len(positions)
         outliers: list[OutlyingReadings] = []
         z_by_index: dict[int, float] = {}
         # The tails of the test distributions are not below those of the normal distribution.
-        for i in np.flatnonzero(np.abs(z) > -normal_quantile(0.5 * significance)).tolist():
-            if positions[i].p >= significance:
+        for i in np.flatnonzero(np.abs(z) > -normal_quantile(0.5 * level)).tolist():
+            if positions[i].p >= level:
                 continue
             indices, magnitude = positions[i].indices, abs(z[i])
             # A reading in an outlying position is reported only if it deviates more by itself.
@@ -222,6 +235,47 @@ class FittedReadings:
                 max(self.chi2 - position_squares, 0.0) / remaining_dof / expected_mean_square,
             )
         )
+
+
+def significance(positions: Sequence[Position]) -> float:
+    """Return the p-value below which one of several positions is an outlier."""
+    return _POSITION_SIGNIFICANCE / len(positions)
+
+
+def _gross_errors(
+    linear_group: LinearReadings, fit: JointFit, positions: Sequence[Position]
+) -> tuple[Position, ...]:
+    """Return the readings without which no other reading is an outlier; empty if there are many.
+
+    A gross error shifts the fit, so that correct readings deviate as well. The reading with the
+    largest standardised residual is deleted repeatedly (Hadi and Simonoff, J. Am. Stat. Assoc. 88
+    (1993) 1264).
+    """
+    solution = fit.solution_with_considered
+    linear_group = linear_group.with_considered_estimated(len(fit.model.unknowns))
+    rows = linear_group.design / linear_group.sigma[:, None]
+    residual = linear_group.residuals_at(solution.estimate) / linear_group.sigma
+    covariance = linear_group.covariance(solution)
+    variance = 1.0 - np.sum((rows @ covariance) * rows, axis=1)
+    deleted: list[Position] = []
+    first_size = 0.0
+    for _ in range(_MAX_GROSS_ERRORS + 1):
+        z = residual / np.sqrt(np.where(variance > _MIN_RELATIVE_VARIANCE, variance, np.inf))
+        index = int(np.argmax(np.abs(z)))
+        error = replace(positions[index], standardized=float(z[index]), studentized=float(z[index]))
+        size = abs(error.studentized)
+        if error.p >= significance(positions) or size < _MIN_RELATIVE_ERROR * first_size:
+            return tuple(deleted)
+        first_size = first_size or size
+        deleted.append(error)
+        # The fit without a reading is a fit with a parameter for its error.
+        column = -rows @ (covariance @ rows[index])
+        column[index] += 1.0
+        step = covariance @ rows[index]
+        residual = residual - column * (residual[index] / variance[index])
+        covariance = covariance + np.outer(step, step) / variance[index]
+        variance = variance - column**2 / variance[index]
+    return ()
 
 
 class _ReadingSets:

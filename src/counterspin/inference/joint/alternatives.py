@@ -188,7 +188,7 @@ def run_score_tests(
     """Run a score test of each alternative against a fit.
 
     The scale of the residuals is that of a fit with the alternative (F test). With given noise, it
-    is at least 1.
+    is at least 1. Otherwise, residuals without degrees of freedom test nothing.
 
     noise_given: Whether the noise was given.
     """
@@ -198,11 +198,13 @@ def run_score_tests(
         indices_by_observations.setdefault(frozenset(alternative.columns), []).append(index)
     value, u, z = np.zeros((3, len(alternatives)))
     dof = max(fit.solution.dof - 1.0, 1.0)
+    has_scale = noise_given or fit.solution.dof > 1.5
     for indices in indices_by_observations.values():
         projected_columns = project_columns(fit, [alternatives[index] for index in indices])
         columns, residual = projected_columns.columns, projected_columns.residual
         squared_norms = np.sum(columns**2, axis=0)
-        is_testable = squared_norms > MIN_RESIDUAL_FRACTION * projected_columns.squared_norms
+        min_norms = MIN_RESIDUAL_FRACTION * projected_columns.squared_norms
+        is_testable = (squared_norms > min_norms) & has_scale
         squared_norms = np.where(is_testable, squared_norms, np.inf)
         inner_products = columns.T @ residual
         gain = inner_products**2 / squared_norms
