@@ -14,7 +14,8 @@ from counterspin.campaign.field_types import parse_exact
 from counterspin.campaign.quantity import parse_quantity
 from counterspin.errors import OutOfRangeError
 from counterspin.frozen import frozen
-from counterspin.units import unit_factor
+from counterspin.records.unit_notation import bracketed_unit, unit_in_name
+from counterspin.units import is_same_unit, unit_factor
 
 #: Placeholder of a reading that has not been taken or simulated yet.
 BLANK: Final = "?"
@@ -96,7 +97,7 @@ def to_seconds(value: Any) -> Any:
 
 
 #: Unit of a rate in revolutions -> unit with explicit revolutions.
-REVOLUTION_UNITS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
+_REVOLUTION_UNITS: Final = {"1/min": "rpm", "min^-1": "rpm", "Hz": "rev/s"}
 
 
 class RateSettings(Protocol):
@@ -128,11 +129,11 @@ class RateColumn:
 
     def _exact(self, value: float) -> tuple[float, str, float]:
         """Return a rate, its unit, and the exponent of the number in the rate."""
-        unit = REVOLUTION_UNITS.get(self.settings.rate_unit, self.settings.rate_unit)
-        if is_convertible(unit, "s"):
+        unit = _with_revolutions(self.settings.rate_unit)
+        if _is_convertible(unit, "s"):
             return 1.0 / (value * unit_factor(unit, "s")), "rev/s", -1.0
         gravity = self._gravity
-        if not is_convertible(unit, "m/s^2", gravity=gravity):
+        if not _is_convertible(unit, "m/s^2", gravity=gravity):
             unit_factor(unit, "rad/s")
             return value, unit, 1.0
         if value < 0.0:
@@ -156,9 +157,27 @@ class RateColumn:
 
 
 @lru_cache(maxsize=64)
-def is_convertible(unit: str, target_unit: str, *, gravity: float | None = None) -> bool:
-    """Return whether two units measure the same quantity."""
+def _is_convertible(unit: str, target_unit: str, *, gravity: float | None = None) -> bool:
     try:
         return unit_factor(unit, target_unit, gravity=gravity) > 0.0
     except (KeyError, ValueError):
         return False
+
+
+def is_equal_unit(unit: str, other_unit: str) -> bool:
+    """Return whether two units are equal; 1/min is rpm."""
+    return is_same_unit(_with_revolutions(unit), _with_revolutions(other_unit))
+
+
+def unit_of_name(column: str, unit: str) -> str:
+    """Return the unit in the name of a column whose unit is stated; empty without one.
+
+    Without brackets, the end of a name is a unit only if it measures the same quantity.
+    """
+    name_unit = unit_in_name(column)
+    is_known = _is_convertible(_with_revolutions(name_unit), _with_revolutions(unit), gravity=9.8)
+    return bracketed_unit(column) or (name_unit if is_known else "")
+
+
+def _with_revolutions(unit: str) -> str:
+    return _REVOLUTION_UNITS.get(unit, unit)

@@ -23,23 +23,22 @@ from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.readings.cells import (
     BLANK,
     DECIMAL_COMMA_PATTERN,
-    REVOLUTION_UNITS,
     SENSE_WORDS,
     RateColumn,
     cell_text,
-    is_convertible,
     is_empty,
+    is_equal_unit,
     mounting_name,
     parse_number,
     replace_decimal_commas,
     to_seconds,
+    unit_of_name,
 )
 from counterspin.readings.entries import MAX_READINGS
 from counterspin.readings.section import COLUMNS, TABLE_ENDINGS, MountingSettings, ReadingsSettings
 from counterspin.records.dialect import Dialect
 from counterspin.records.memory import iter_columns
-from counterspin.records.unit_notation import bracketed_unit, unit_in_name
-from counterspin.units import is_same_unit, unit_factor
+from counterspin.units import unit_factor
 
 if TYPE_CHECKING:
     from counterspin.records.formats import StoredTable
@@ -401,9 +400,9 @@ class ReadingsTable:
                     output = self.accelerometers.get(name)
                     described_units |= dict.fromkeys(columns, output.unit if output else "g")
         for column, unit in described_units.items():
-            row_unit, name_unit = units.get(column or ""), _unit_of_name(column or "", unit)
-            table_unit = row_unit or name_unit
-            if table_unit and not is_same_unit(*map(_with_revolutions, (table_unit, unit))):
+            row_unit = units.get(column or "")
+            table_unit = row_unit or unit_of_name(column or "", unit)
+            if table_unit and not is_equal_unit(table_unit, unit):
                 self.problems.add(
                     ("readings", "columns"),
                     f'{self.settings.file}: column "{column}" is in {table_unit} according to '
@@ -587,17 +586,3 @@ def _mounting_columns(mounting: MountingSettings) -> dict[str, str]:
     """Return key -> column of a mounting."""
     columns = {"reading": mounting.reading, "u": mounting.u}
     return {key: column for key, column in columns.items() if column}
-
-
-def _unit_of_name(column: str, unit: str) -> str:
-    """Return the unit in the name of a column whose unit is stated; empty without one.
-
-    Without brackets, the end of a name is a unit only if it measures the same quantity.
-    """
-    name_unit = unit_in_name(column)
-    is_known = is_convertible(_with_revolutions(name_unit), _with_revolutions(unit), gravity=9.8)
-    return bracketed_unit(column) or (name_unit if is_known else "")
-
-
-def _with_revolutions(unit: str) -> str:
-    return REVOLUTION_UNITS.get(unit, unit)
