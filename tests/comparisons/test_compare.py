@@ -133,6 +133,18 @@ def test_omitted_run_matches_jackknife(seed_1):
     assert abs(estimate.z) == pytest.approx(abs(left_out.z), rel=1e-3)
 
 
+def test_changes_round_default_priors(seed_1):
+    records, result, _, _ = seed_1
+    free = cs.calibrate(records.change({"model": {"assume": ["K_OO"]}}))
+    (texts,) = (
+        change.values
+        for change in cs.compare(result, free).changes
+        if change.subject == "default priors"
+    )
+    texts = texts[1].split(", ")
+    assert {"delta_O ± 10.31 arcsec", "records.clock ± 2e-5", "K_PP ± 2 ug/g^2"} <= set(texts)
+
+
 def test_changes_list_assumed_and_unstated_terms(seed_1):
     records, result, _, _ = seed_1
     but_k_oo = [name for name in result.assumed if name != "K_OO"]

@@ -1,5 +1,8 @@
 """The check of a record: its faults, its remarks and the uncertainty that it gives."""
 
+import re
+from pathlib import Path
+
 import polars as pl
 import pytest
 from raising import raises
@@ -7,6 +10,8 @@ from raising import raises
 import counterspin as cs
 from counterspin.cli import main
 from counterspin.errors import CampaignError, RecordError
+
+PAGE = Path(__file__).parents[2] / "docs" / "monitoring.md"
 
 
 def change_record(file, **columns):
@@ -30,6 +35,16 @@ def test_good_run_has_no_remark(folder):
     (now,), (expected,) = checked.reached, checked.expected
     assert (now.value, now.u) == (result.value, result.u)
     assert expected.u == pytest.approx(result.u, rel=1e-3)
+
+
+def test_page_explains_every_line_of_report(folder, capsys):
+    assert main(["check", str(folder / "slow.csv"), "--campaign", str(folder)]) == 0
+    printed = [line.split("  ")[0].strip() for line in capsys.readouterr().out.splitlines()]
+    table = re.search(r"(?ms)^\| line \| content \|\n.*?\n\n", PAGE.read_text(encoding="utf-8"))[0]
+    explained = [row.split(" | ")[0][2:] for row in table.splitlines()[2:] if row]
+    shown = printed[printed.index("Clock") :]
+    shown = [*shown[: shown.index("")], "Expected uncertainty"]
+    assert [line.replace("of Qx", "of NAME") for line in shown] == explained
 
 
 def test_first_run_predicts_uncertainty_of_whole_campaign(folder):

@@ -115,12 +115,13 @@ def _prior_information(result: Result, name: str) -> tuple[list[str], Mapping[st
 
 def _default_priors(result: Result) -> list[str]:
     """Return the terms with default priors and their uncertainties, once for all runs."""
-    prior_texts = (
-        f"{find_symbol(prior.name)} ± {_format_quantity(prior.u, 0.0, prior.unit)}"
-        for prior in result.rests_on
-        if prior.kind == "unstated"
-    )
-    return list(dict.fromkeys(prior_texts))
+    texts = dict[str, None]()
+    for prior in result.rests_on:
+        if prior.kind == "unstated":
+            unit, factor = find_display_unit(prior.unit)
+            text = f"{find_symbol(prior.name)} ± {format_number(prior.u * factor, 4)} {unit}"
+            texts[text.removesuffix(" 1")] = None
+    return list(texts)
 
 
 def _format_quantity(value: float | None, u: float | None, unit: str) -> str:
