@@ -6,9 +6,10 @@ import math
 from pathlib import Path
 
 import pytest
+from results import make_coefficient, make_qx_result
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_file import upgrade_document
+from counterspin.calibration.result_file import find_faults, upgrade_document
 from counterspin.errors import RecordError
 
 FROZEN = Path(__file__).parents[1] / "frozen"
@@ -139,3 +140,33 @@ def test_empty_omitted_terms_are_accepted(value):
     document = read_document(REPEAT)
     document["accelerometers"]["A"]["left_out"] = value
     assert upgrade_document(document)["assumed"] == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"state": "contradicted"}, "the state of Qx is contradicted, but no finding gives the"),
+        ({"state": "not-determined"}, "the state of Qx is not-determined, but no finding gives"),
+        (
+            {"correlation": {"terms": ["K_F", "K_II"], "matrix": [[1.0, 5.0], [5.0, 1.0]]}},
+            "the correlation matrix of Qx is not symmetric, or has an element beyond 1",
+        ),
+        (
+            {"correlation": {"terms": ["K_F", "K_II"], "matrix": [[1.0, 0.2], [0.1, 1.0]]}},
+            "the correlation matrix of Qx is not symmetric",
+        ),
+        (
+            {"coefficients": {"K_II": make_coefficient(2.7e-5, None, "g/g^2")}},
+            "K_II of Qx has a value without u, or u without a value",
+        ),
+    ],
+)
+def test_contradictory_parts_are_named(changes, words):
+    assert list(find_faults(make_qx_result())) == []
+    faults = list(find_faults(make_qx_result(**changes)))
+    assert any(words in fault for fault in faults)
+
+
+def test_contradicted_result_has_finding():
+    result = make_qx_result().model_copy(update={"state": "contradicted"})
+    assert "the state is contradicted, but no finding gives the reason" in find_faults(result)

@@ -273,6 +273,24 @@ def test_issue_date_before_end_is_reported(certificate_folder, capsys, monkeypat
     assert "The day of issue, 2023-11-14, is earlier than certificate.end, 2026-01-14." in out
 
 
+def test_future_issue_and_equipment_due_during_calibration_are_reported(
+    certificate_folder, capsys, monkeypatch
+):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1770000000")  # 2026-02-02
+    for issued, due, key in (
+        ("2026-02-03", "2026-01-14", None),
+        ("2026-02-04", "2026-01-13", "end, 2026-01-14"),
+        ("2026-02-04", "2026-01-11", "begin, 2026-01-12"),
+    ):
+        text = LAB.replace('language = "de"', f"issued = {issued}")
+        write_lab(certificate_folder, f'{text}[[equipment]]\nname = "clock"\ndue = {due}\n')
+        _, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", f"{due}.xml")
+        is_future = f"certificate.issued, {issued}, lies in the future." in out
+        assert is_future is (issued == "2026-02-04")
+        assert ("was due on" in out) is (key is not None)
+        assert key is None or f"was due on {due}, earlier than certificate.{key}." in out
+
+
 def test_template_draft_cannot_be_signed(certificate_folder, capsys):
     assert run_certificate(capsys, "--init", "mine.toml")[0] == 0
     status, out, _ = run_certificate(capsys, "r.json", "mine.toml", "-o", "c.pdf")

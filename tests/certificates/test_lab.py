@@ -52,6 +52,16 @@ def test_all_missing_keys_are_reported(tmp_path):
         ),
         ('language = "de"', "accelerometers = []", "certificate.accelerometers: must have"),
         ('language = "de"', 'accelerometers = ["Qy"]', 'accelerometers[0]: the result has no "Qy"'),
+        (
+            'language = "de"',
+            'accelerometers = ["Qx", "Qx"]',
+            'accelerometers[1]: "Qx" occurs twice; keep only one of them',
+        ),
+        (
+            'language = "de"',
+            'identifier = "Draft 7"',
+            "identifier: must not begin with DRAFT",
+        ),
         ("degC", "K", 'conditions.temperature: must be a temperature, such as "20.0 ± 0.3 degC"'),
         ("[conditions]", "[accelerometers.Qz]\n[conditions]", "accelerometers.Qz: the result has"),
         (
@@ -70,6 +80,26 @@ def test_error_names_key(tmp_path, old, new, message):
     assert old in LAB
     (problem,) = list_problems(tmp_path, LAB.replace(old, new, 1))
     assert message in problem
+
+
+@pytest.mark.parametrize(
+    ("item", "problems"),
+    [
+        ("P-3", []),
+        ("Q-104", []),  # the item is the accelerometer
+        ("000000", []),  # of the template: the certificate is a draft
+        ("P-4", ['item.serial_number: is "P-4", but the campaign states "P-3"']),
+    ],
+)
+def test_item_has_serial_number_of_campaign(tmp_path, item, problems):
+    result = make_qx_result().model_copy(update={"details": {"serial_number": "P-3"}})
+    text = LAB.replace("0815", item)
+    if not problems:
+        read_lab_for(tmp_path, result, text)
+        return
+    with pytest.raises(CampaignError) as caught:
+        read_lab_for(tmp_path, result, text)
+    assert problems[0] in str(caught.value)
 
 
 def test_missing_file_error_names_write_example(tmp_path):

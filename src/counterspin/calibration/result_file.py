@@ -26,6 +26,10 @@ _NEW_KINDS: Final = {"prior": "stated", "considered": "held", "input": "held", "
 _MAX_COEFFICIENT: Final = 1e30
 #: Largest valid quantile of the normal distribution.
 _MAX_QUANTILE: Final = 30.0
+#: Largest valid correlation, with rounding errors.
+_MAX_CORRELATION: Final = 1.0 + 1e-6
+#: States that follow from a finding.
+_EXPLAINED_STATES: Final = ("not-determined", "contradicted")
 #: Smallest valid degrees of freedom.
 _MIN_DOF: Final = 0.1
 
@@ -98,6 +102,8 @@ def find_faults(result: Result) -> Iterator[str]:
         yield f"the gravity is {result.inputs.gravity} m/s^2"
     if not result.accelerometers:
         yield "the result has no accelerometers"
+    if result.state in _EXPLAINED_STATES and not result.findings:
+        yield f"the state is {result.state}, but no finding gives the reason"
     confounded_sets = [*result.confounded]
     for accelerometer in result.accelerometers.values():
         confounded_sets += accelerometer.confounded
@@ -116,17 +122,9 @@ def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> 
     """Yield the contradictions in the result of one accelerometer."""
     if not accelerometer.coefficients:
         yield f"{name} has no coefficients"
-    for symbol, coefficient in {
-        **accelerometer.known,
-        **accelerometer.coefficients,
-        **accelerometer.second_unknown,
-    }.items():
-        if symbol in TERMS and coefficient.unit != TERMS[symbol].unit:
-            yield f"{symbol} of {name} is in {coefficient.unit}, not in {TERMS[symbol].unit}"
-        if not (abs(coefficient.value or 0.0) < _MAX_COEFFICIENT > (coefficient.u or 0.0) >= 0.0):
-            yield f"{symbol} of {name} is {coefficient.value} ± {coefficient.u}"
-        if coefficient.dof is not None and not _MIN_DOF <= coefficient.dof < math.inf:
-            yield f"{symbol} of {name} has {coefficient.dof} degrees of freedom"
+    if accelerometer.state in _EXPLAINED_STATES and not accelerometer.findings:
+        yield f"the state of {name} is {accelerometer.state}, but no finding gives the reason"
+    yield from _coefficient_faults(name, accelerometer)
     for jackknife_line in accelerometer.jackknife:
         if jackknife_line.dof is not None and not _MIN_DOF <= jackknife_line.dof < math.inf:
             yield f"{name} without {jackknife_line.run} has {jackknife_line.dof} degrees of freedom"
@@ -143,11 +141,34 @@ def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> 
         yield f"a size of the residuals of {name} is negative"
 
 
+def _coefficient_faults(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
+    for symbol, coefficient in {
+        **accelerometer.known,
+        **accelerometer.coefficients,
+        **accelerometer.second_unknown,
+    }.items():
+        if symbol in TERMS and coefficient.unit != TERMS[symbol].unit:
+            yield f"{symbol} of {name} is in {coefficient.unit}, not in {TERMS[symbol].unit}"
+        if not (abs(coefficient.value or 0.0) < _MAX_COEFFICIENT > (coefficient.u or 0.0) >= 0.0):
+            yield f"{symbol} of {name} is {coefficient.value} ± {coefficient.u}"
+        if coefficient.estimated and (coefficient.value is None) is not (coefficient.u is None):
+            yield f"{symbol} of {name} has a value without u, or u without a value"
+        if coefficient.dof is not None and not _MIN_DOF <= coefficient.dof < math.inf:
+            yield f"{symbol} of {name} has {coefficient.dof} degrees of freedom"
+
+
 def matrix_faults(description: str, correlation: Correlation) -> Iterator[str]:
-    """Yield a message if the size of a matrix does not match the number of its terms."""
+    """Yield a message if a matrix does not have the size of its terms, or is not a correlation."""
     n_terms = len(correlation.terms)
     if [len(row) for row in correlation.matrix] != [n_terms] * n_terms:
         yield f"{description} is not one of {n_terms} terms"
+    elif any(
+        abs(correlation.matrix[i][j]) > _MAX_CORRELATION
+        or not math.isclose(correlation.matrix[i][j], correlation.matrix[j][i], abs_tol=1e-6)
+        for i in range(n_terms)
+        for j in range(i + 1)
+    ):
+        yield f"{description} is not symmetric, or has an element beyond 1"
 
 
 def _trace_faults(description: str, trace: Trace) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime, time
+from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -52,11 +52,16 @@ def issue_notes(lab: Lab, issue: Issue, missing_entries: Sequence[MissingEntry])
             f"The day of issue, {issue_day}, is earlier than certificate.end, "
             f"{lab.certificate.end}."
         )
+    # In other time zones, the day may be one later.
+    if (issued := lab.certificate.issued) and issued > parse_issue_date().date() + timedelta(1):
+        yield f"certificate.issued, {issued}, lies in the future."
     for equipment in lab.equipment:
-        if equipment.due is not None and equipment.due < lab.certificate.begin:
+        key = "begin" if (equipment.due or date.max) < lab.certificate.begin else "end"
+        limit: date = getattr(lab.certificate, key)
+        if equipment.due is not None and equipment.due < limit:
             yield (
                 f"The calibration of {equipment.name} was due on {equipment.due}, earlier than "
-                f"certificate.begin, {lab.certificate.begin}."
+                f"certificate.{key}, {limit}."
             )
     if missing_entries:
         yield (

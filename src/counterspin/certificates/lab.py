@@ -147,7 +147,10 @@ class CertificateSettings(SettingsSection):
     )
 
     def contradictions(self) -> Iterator[Contradiction]:
-        """Yield dates in the wrong order, and a ledger outside the folder."""
+        """Yield an identifier of a draft, dates in the wrong order, a ledger outside the folder."""
+        if (self.identifier or "").upper().startswith("DRAFT"):
+            message = "must not begin with DRAFT, which marks documents that are not certificates"
+            yield ("identifier",), Problem(message, "conflicting-values")
         if self.end < self.begin:
             yield ("end",), Problem("lies before certificate.begin", "conflicting-values"), "begin"
         if self.received is not None and self.received > self.begin:
@@ -451,6 +454,14 @@ def _check_accelerometers(document: Mapping[str, Any], result: Result, problems:
         ),
         *((("accelerometers", name), name) for name in tables),
     ]
+    for index, name in enumerate(list_of(settings, "accelerometers")):
+        if name in list_of(settings, "accelerometers")[:index]:
+            problems.add(
+                ("certificate", "accelerometers", index),
+                f'"{name}" occurs twice; keep only one of them',
+                "conflicting-values",
+            )
+    _check_item(document, result, problems)
     for path, name in named_paths:
         if isinstance(name, str) and name not in result_names:
             problems.add(
@@ -467,6 +478,26 @@ def _check_accelerometers(document: Mapping[str, Any], result: Result, problems:
                 f'is "{lab_serial_number}", but the result is for "{result_serial_number}"',
                 "conflicting-values",
             )
+
+
+def _check_item(document: Mapping[str, Any], result: Result, problems: Problems) -> None:
+    """Add a serial number of the item that contradicts the campaign to the problems."""
+    path = ("item", "serial_number")
+    item_serial_number = table_of(document, "item").get("serial_number")
+    campaign_serial_number = result.details.get("serial_number")
+    # The item is the platform, or a single accelerometer.
+    parts = (accelerometer.serial_number for accelerometer in result.accelerometers.values())
+    if (
+        campaign_serial_number
+        and isinstance(item_serial_number, str)
+        and item_serial_number not in (campaign_serial_number, *parts)
+        and not is_template_value(path, item_serial_number)
+    ):
+        problems.add(
+            path,
+            f'is "{item_serial_number}", but the campaign states "{campaign_serial_number}"',
+            "conflicting-values",
+        )
 
 
 # The example
