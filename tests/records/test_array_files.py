@@ -195,3 +195,23 @@ def test_matlab_text_file_is_read(tmp_path):
     numbered = {"angle": ColumnSpec("column 2"), "signals": {"Qx": ColumnSpec("column 3")}}
     record = read_written_record(tmp_path / "run.mat", time=ColumnSpec("column 1"), **numbered)
     np.testing.assert_array_equal(record.signals["Qx"], simulate_columns()[SIGNAL])
+
+
+@pytest.mark.parametrize("key", ["units", "unit"])
+def test_attributes_state_unit_scale_and_missing_value(tmp_path, key):
+    """NetCDF conventions: integers with scale_factor, add_offset and _FillValue."""
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["t"] = np.arange(4.0)
+        file["t"].attrs[key] = "seconds since 2026-01-01 00:00:00"
+        file["east"] = np.array([100, -32768, 300, 400], dtype=np.int16)
+        for name, value in (("scale_factor", 0.5), ("add_offset", [7.0]), ("_FillValue", -32768)):
+            file["east"].attrs[name] = value
+        file["east"].attrs[key] = b"mm"
+        file["raw"] = np.arange(4)
+        file["raw"].attrs["scale_factor"] = "unknown"
+    with open_columns(path, Dialect()) as columns:
+        assert columns.units == {"t": "s", "east": "mm", "raw": ""}
+        values = columns.read_columns(["t", "east", "raw"])
+    np.testing.assert_array_equal(values["east"], [57.0, np.nan, 157.0, 207.0])
+    np.testing.assert_array_equal(values["raw"], range(4))

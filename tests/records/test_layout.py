@@ -147,6 +147,22 @@ def test_misaligned_header_numbers_columns(head, rows, message):
     assert message in layout.describe("utf-8")
 
 
+def test_toa5_header_states_names_and_units():
+    """A data logger of Campbell writes four header lines: station, names, units, processing."""
+    rows = [f'"2026-11-22 10:00:0{n}",{n},{n / 8},0.5' for n in range(6)]
+    layout = detect_layout(
+        [
+            '"TOA5","st","CR6","1234","OS","CPU:x.CR6","999","fast"',
+            '"TIMESTAMP","RECORD","angle","east"',
+            '"TS","RN","deg","mV"',
+            '"","","Smp","Smp"',
+            *rows,
+        ]
+    )
+    assert layout.names == ("TIMESTAMP", "RECORD", "angle", "east")
+    assert layout.units == ("", "", "deg", "mV")
+
+
 def test_comment_characters_within_names_are_preserved():
     for name in ("RH %", "no #", "a [m*s^-2]"):
         assert plain_format([(1, f"t,{name}"), (2, "0,1")], Dialect()).names == ("t", name)

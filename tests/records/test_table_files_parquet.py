@@ -1,10 +1,11 @@
 """Record files of Parquet."""
 
 import re
-from datetime import datetime
+from datetime import datetime, time, timedelta
 
 import numpy as np
 import polars as pl
+import pytest
 from record_files import (
     ANGLE,
     SIGNAL,
@@ -14,6 +15,8 @@ from record_files import (
     simulate_columns,
     write_record,
 )
+
+from counterspin.ingest.contents import read_contents
 
 
 def test_text_column_of_parquet_raises(tmp_path):
@@ -34,3 +37,15 @@ def test_columns_of_other_types_are_ignored(tmp_path):
     beside = {"when": [datetime(2026, 1, 1)] * 1000, "note": ["x"] * 1000}
     record = read_written_record(write_record(tmp_path / "run.parquet", {**columns, **beside}))
     np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])
+
+
+@pytest.mark.parametrize("is_duration", [True, False])
+def test_durations_and_times_of_day_are_times(tmp_path, is_duration):
+    steps = [timedelta(milliseconds=20 * row) for row in range(50)]
+    times = (
+        steps if is_duration else [time(12, 0, step.seconds, step.microseconds) for step in steps]
+    )
+    pl.DataFrame({"time": times, "x": np.arange(50.0)}).write_parquet(tmp_path / "a.parquet")
+    column = read_contents(tmp_path / "a.parquet").columns[0]
+    assert (column.name, column.is_timestamp) == ("time", True)
+    np.testing.assert_allclose(column.values, 0.02 * np.arange(50), atol=1e-12)

@@ -24,6 +24,7 @@ from counterspin.records.column_file import ColumnFile, Columns, concatenate_bat
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import Dialect
 from counterspin.records.header_footer import parse_interval
+from counterspin.records.unit_notation import parse_file_unit
 
 if TYPE_CHECKING:
     import polars as pl
@@ -232,6 +233,11 @@ class Hdf5File(ArrayFile):
             self.interval = intervals.pop() if len(intervals) == 1 else None
             separator = "." if is_matlab else "/"
             self._name_columns(shapes, dialect.group, separator=separator)
+            for name in self.names:
+                dataset, field = _split_field(file, self._paths[name])
+                text = "" if field else str(_find_attribute(dataset, "units", "unit") or "")
+                # A netCDF time has a unit such as "seconds since 2026-01-01".
+                self.units[name] = parse_file_unit(text.partition(" since ")[0]) or ""
 
     def _shape(self, name: str) -> tuple[int, ...] | None:
         import h5py
@@ -265,7 +271,7 @@ class Hdf5File(ArrayFile):
             arrays = {}
             for name in names:
                 dataset, field = _split_field(file, self._paths[name])
-                arrays[name] = _FieldArray(dataset, field) if field else dataset
+                arrays[name] = _FieldArray(dataset, field) if field else _scale_dataset(dataset)
             yield arrays
 
     def _missing_columns_message(self, missing_names: Sequence[str]) -> str:
@@ -326,6 +332,48 @@ class _FieldArray:
         first, *remaining = index if isinstance(index, tuple) else (index,)
         values = self.dataset.fields(self.field)[first]
         return values[(slice(None), *remaining)] if remaining else values
+
+
+@frozen(eq=False)
+class _ScaledArray:
+    """A dataset of integers with the scale of the netCDF conventions."""
+
+    dataset: Any
+    factor: float
+    offset: float
+    missing_value: float | None  #: Value of missing samples.
+    dtype: Any = np.dtype(float)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return tuple(self.dataset.shape)
+
+    def __getitem__(self, index: Any) -> np.ndarray:
+        values = np.asarray(self.dataset[index], dtype=float)
+        scaled_values = values * self.factor + self.offset
+        return np.where(values == self.missing_value, np.nan, scaled_values)
+
+
+def _scale_dataset(dataset: Any) -> Any:
+    """Return a dataset, scaled if its attributes state a scale or a value of missing samples."""
+    factor, offset, missing_value = (
+        float(value) if isinstance(value, (np.integer, np.floating)) else None
+        for name in ("scale_factor", "add_offset", "_FillValue")
+        for value in [_find_attribute(dataset, name)]
+    )
+    if dataset.dtype.kind not in "fiu" or (factor, offset, missing_value) == (None, None, None):
+        return dataset
+    return _ScaledArray(dataset, 1.0 if factor is None else factor, offset or 0.0, missing_value)
+
+
+def _find_attribute(dataset: Any, *names: str) -> Any:
+    """Return the number or text of the first attribute with one of these names; or None."""
+    for name in names:
+        values = np.ravel(dataset.attrs.get(name, ()))
+        if values.size == 1:
+            value = values[0]
+            return value.decode(errors="replace") if isinstance(value, bytes) else value
+    return None
 
 
 class MatlabFile(ArrayFile):

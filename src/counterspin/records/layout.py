@@ -52,6 +52,7 @@ _UNIT_KEYS: Final = ("vunit", "unit")
 _NO_UNITS: Final = (
     *("", "-", "(-)", "[-]", "(na)", "[na]", "na", "n/a", "(n/a)", "()", "[]"),
     *("no.", "no", "nr", "nr.", "number", "time", "date", "date&time"),
+    *("ts", "rn"),  # of time stamp and record number in TOA5 files
 )
 #: Largest number of lines between units and rows.
 _MAX_LINES_BELOW_UNITS: Final = 4

@@ -95,7 +95,9 @@ class ParquetFile(ColumnFile):
             return pl.col(name).cast(pl.Float64())
         if data_type == pl.String():
             return parse_nanoseconds(name)
-        if not isinstance(data_type, pl.Datetime):
+        if data_type == pl.Time():
+            return pl.col(name).to_physical()
+        if not isinstance(data_type, pl.Datetime | pl.Duration):
             raise RecordError(
                 f"{self.path}: column '{name}' contains no time stamps.", code="not-numeric"
             )
