@@ -133,6 +133,33 @@ def test_noise_table_is_valid_in_campaign(tmp_path, folder):
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "start", "factor"),
+    [
+        ("timestamp", 1764459000.0, 1.0),
+        ("timestamp", 1764459000.0, 1e3),
+        ("time", 1764459000.0, 1e9),
+        ("seconds_elapsed", 0.0, 1.0),
+        ("millis", 0.0, 1e3),
+        ("micros", 12.0, 1e6),
+    ],
+)
+def test_unit_of_time_follows_from_epoch_or_first_word(name, start, factor, skip_intervals):
+    time, values = make_columns(2_000)
+    columns = {name: np.round((start + time) * factor, 3), "Qx_g": 1.0 + values / G}
+    (signal,) = cs.noise(columns).signals
+    assert signal.sampling_rate == pytest.approx(1.0 / STEP, rel=1e-3)
+
+
+def test_sampling_rate_contradicting_the_times_raises(skip_intervals):
+    time, values = make_columns(2_000)
+    columns = {"time_s": time, "Qx_g": 1.0 + values / G}
+    with raises("conflicting-values", "50 Hz contradicts column 'time_s'", "100 rows per second"):
+        cs.noise(columns, sampling_rate="50 Hz")
+    (signal,) = cs.noise(columns, sampling_rate="99 Hz").signals
+    assert signal.sampling_rate == pytest.approx(100.0)
+
+
 def test_campaign_of_readings_has_no_columns(tmp_path):
     (tmp_path / "campaign.toml").write_text(
         """schema = 1

@@ -22,12 +22,14 @@ from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.ingest.column_values import (
     COUNTER_NAME,
+    first_word_unit,
     has_distinct_times,
     has_even_steps,
     is_nondecreasing,
     is_row_counter,
     round_counts,
     temperature_scale,
+    time_unit_from_values,
     unwrap_values,
 )
 from counterspin.ingest.contents import FileColumn, FileContents, find_frequency, fit_wave
@@ -55,9 +57,6 @@ _AXIS_NAMES: Final = {
         ("up", "up|height", ".*\u4e0a"),
     )
 }
-#: Ranges of serial days of Excel and datenum of MATLAB, 1990 to 2100; longest sampling interval.
-_DAY_NUMBER_RANGES: Final = ((32874.0, 73051.0), (726834.0, 767011.0))
-_MAX_STEP_DAYS: Final = 1e-3
 #: Names of scalar values: sampling rate (Hz), sampling interval (s), rate (rpm).
 _SAMPLING_RATE_NAME: Final = re.compile(
     r"(?i)(.*[._])?(fs|f_s|sampl(e|ing)_?(rate|frequency))(_?hz)?"
@@ -336,9 +335,9 @@ def _find_time_unit(
     time: FileColumn, contents: FileContents, answers: Mapping[str, str]
 ) -> str | None:
     """Return the unit of a time, by answer, file, sampling rate or values; None if unknown."""
-    unit = answers.get("time unit") or _find_unit(time, "s")
+    unit = answers.get("time unit") or _find_unit(time, "s") or first_word_unit(time.name)
     unit = unit or _time_unit_from_sampling(time, _find_sampling_rate(contents, answers))
-    return unit or ("d" if _is_in_days(time) else None)
+    return unit or time_unit_from_values(time)
 
 
 def _time_unit_from_sampling(time: FileColumn, sampling_rate: float | None) -> str | None:
@@ -348,15 +347,6 @@ def _time_unit_from_sampling(time: FileColumn, sampling_rate: float | None) -> s
         if abs(step * unit_factor(unit, "s") * (sampling_rate or 0.0) - 1.0) < _UNIT_TOLERANCE:
             return unit
     return None
-
-
-def _is_in_days(time: FileColumn) -> bool:
-    """Return whether a time is in days: a serial number of Excel, or a datenum of MATLAB."""
-    if time.is_timestamp:
-        return False
-    first, last = float(np.nanmin(time.values)), float(np.nanmax(time.values))
-    is_date = any(low < first and last < high for low, high in _DAY_NUMBER_RANGES)
-    return is_date and float(np.nanmedian(np.diff(time.values))) < _MAX_STEP_DAYS
 
 
 def _time_unit_from_rate(rate: float | None) -> str | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.ingest.contents import FileColumn
+from counterspin.units import unit_factor
 
 #: Names of row number columns.
 COUNTER_NAME: Final = re.compile(
@@ -19,6 +20,18 @@ COUNTER_NAME: Final = re.compile(
 _TEMPERATURE_NAME: Final = re.compile(r"(?i)(.*[^a-z])?temp(erature?|eratur)?([^a-z].*|$)")
 #: Temperature scale -> plausible range of an accelerometer's temperature.
 _TEMPERATURE_RANGES: Final = {"degC": (-60.0, 150.0), "K": (210.0, 425.0)}
+#: First word of the name of a time -> unit.
+_UNIT_BY_FIRST_WORD: Final = {
+    "seconds": "s",
+    **dict.fromkeys(("millis", "milliseconds"), "ms"),
+    **dict.fromkeys(("micros", "microseconds"), "us"),
+    **dict.fromkeys(("nanos", "nanoseconds"), "ns"),
+}
+#: Ranges of serial days of Excel and datenum of MATLAB, 1990 to 2100; longest sampling interval.
+_DAY_NUMBER_RANGES: Final = ((32874.0, 73051.0), (726834.0, 767011.0))
+_MAX_STEP_DAYS: Final = 1e-3
+#: Range of times since 1970, s: 2000 to 2100.
+_EPOCH_RANGE: Final = (9.4e8, 4.1e9)
 #: Tolerance of even time steps, relative to the median step.
 _STEP_TOLERANCE: Final = 0.5
 #: Relative tolerance of the rate at which an angle advances across a gap.
@@ -35,6 +48,26 @@ def temperature_scale(column: FileColumn) -> str | None:
         if values.size and min_temperature < values.min() and values.max() < max_temperature
         else None
     )
+
+
+def first_word_unit(name: str) -> str | None:
+    """Return the unit of a time by the first word of its name, as in `seconds_elapsed`; or None."""
+    first_word = re.split(r"[^a-z]", re.split(r"[/.]", name)[-1].lower())[0]
+    return _UNIT_BY_FIRST_WORD.get(first_word)
+
+
+def time_unit_from_values(time: FileColumn) -> str | None:
+    """Return the unit of serial days and of times since 1970; None for other times."""
+    first, last = float(np.nanmin(time.values)), float(np.nanmax(time.values))
+    step = float(np.nanmedian(np.diff(time.values)))
+    is_date = any(low < first and last < high for low, high in _DAY_NUMBER_RANGES)
+    if is_date and step < _MAX_STEP_DAYS:
+        return "d"
+    for unit in ("s", "ms", "us", "ns"):
+        factor = unit_factor(unit, "s")
+        if _EPOCH_RANGE[0] < first * factor < _EPOCH_RANGE[1] and 0.0 < step * factor <= 1.0:
+            return unit
+    return None
 
 
 def is_nondecreasing(values: Array) -> bool:

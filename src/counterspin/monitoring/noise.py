@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.campaign.field_types import check_gravity, check_positive, parse_exact
@@ -25,7 +24,7 @@ from counterspin.inference.noise.static_noise import (
     StaticSignal,
     analyse_static_record,
 )
-from counterspin.ingest.column_roles import FileGuess, explain_missing_time, guess_file
+from counterspin.ingest.column_roles import guess_file
 from counterspin.ingest.contents import FileColumn, FileContents, read_contents
 from counterspin.monitoring.result import (
     NoiseResult,
@@ -34,6 +33,7 @@ from counterspin.monitoring.result import (
     component_name,
     noise_display_unit,
 )
+from counterspin.monitoring.row_times import compute_row_times
 from counterspin.physics import observation
 from counterspin.records.column_file import format_names
 from counterspin.records.memory import MemoryTable, make_memory_table
@@ -61,9 +61,6 @@ _MISFIT_SIGNIFICANCE: Final = 1e-3
 
 #: Factor on either side above which an interval is reported as wide.
 _MAX_INTERVAL_RATIO: Final = 2.0
-
-#: Deviation of a time from an integer number of steps above which times follow from row counts.
-_MAX_STEP_DEVIATION: Final = 0.3
 
 
 def noise(
@@ -225,7 +222,7 @@ def _guess_signals(
             f". Not read: {reason.removesuffix('.')}" for reason in contents.unread_reasons
         )
         raise CampaignError("noise", [problem], code="missing-column")
-    row_times = _compute_row_times(source, file_guess, contents.columns, stated_rate)
+    row_times = compute_row_times(source, file_guess, contents.columns, stated_rate)
     time_column = file_guess.time.column if file_guess.time else None
     candidates = [c for c in contents.columns if c.name != time_column and not c.is_timestamp]
     signals: list[StaticSignal] = []
@@ -297,61 +294,6 @@ def _read_source(source: Path | MemoryTable, select: str | None) -> FileContents
             code="several-sensors",
         )
     return contents
-
-
-def _compute_row_times(
-    source: Path | MemoryTable,
-    file_guess: FileGuess,
-    columns: Sequence[FileColumn],
-    sampling_rate: float | None,
-) -> Array:
-    """Return the time of each row, s.
-
-    sampling_rate: Stated sampling rate, Hz; used with row counts if the times are not uniform.
-    """
-    row_indices = np.arange(max(len(column.values) for column in columns))
-    if file_guess.time is not None:
-        if file_guess.time.unit is None and sampling_rate is None:
-            raise RecordError(
-                f"{source}: column '{file_guess.time.column}' seems to be the time, but its unit "
-                "is unknown; rename it, for example to 'time_s', or give `sampling_rate` or "
-                "`campaign`.",
-                code="missing-unit",
-            )
-        column = next(c for c in columns if c.name == file_guess.time.column)
-        seconds = np.asarray(column.values * file_guess.time.factor)
-        decreasing_rows = np.flatnonzero(np.diff(seconds) < 0.0)
-        if decreasing_rows.size and sampling_rate is None:
-            previous_time, next_time = seconds[decreasing_rows[0] : decreasing_rows[0] + 2]
-            raise RecordError(
-                f"{source}: column '{column.name}': the time decreases in row "
-                f"{decreasing_rows[0] + 2}, from {previous_time:.9g} s to {next_time:.9g} s. End "
-                "the record before this row.",
-                code="time-backwards",
-            )
-        steps = np.diff(seconds[np.isfinite(seconds)]) * (sampling_rate or 0.0)
-        step_deviations = np.abs(steps - np.round(steps))
-        is_uniform = bool((step_deviations < _MAX_STEP_DEVIATION).all() and (steps >= 0.0).all())
-        return (
-            seconds
-            if sampling_rate is None or (file_guess.time.unit and is_uniform)
-            else row_indices / sampling_rate
-        )
-    if file_guess.shared_times is not None and sampling_rate is None:
-        return file_guess.shared_times.values
-    if file_guess.sampling_rate is None:
-        problem = (
-            f"{source}: {explain_missing_time(file_guess.contents)}. Give the sampling rate as "
-            "`sampling_rate`, such as"
-        )
-        problem += ' "100 Hz".'
-        unread_reasons = [
-            f"Not read: {reason}"
-            for reason in file_guess.contents.unread_reasons
-            if reason.rstrip(".") not in problem
-        ]
-        raise RecordError(" ".join([problem, *unread_reasons]), code="missing-column")
-    return row_indices / file_guess.sampling_rate
 
 
 def _estimate_noise(record: StaticRecord, spindle_rate: float | None) -> SignalNoise:
