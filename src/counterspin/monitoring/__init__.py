@@ -10,4 +10,5 @@
   JSON
 - `page`: printed reports of checked records, of a campaign while it is recorded, and of noise
 - `noise`: the noise of a record at rest
+- `row_times`: the times of the rows of a record at rest
 """
