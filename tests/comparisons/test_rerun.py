@@ -1,6 +1,7 @@
 """Repeating a result: inputs found by checksum, equal numbers, or the list of changes."""
 
 import json
+import math
 import shutil
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from counterspin.calibration.options import (
     parse_options,
 )
 from counterspin.cli import main
+from counterspin.comparisons.rerun import find_changes
 from counterspin.comparisons.result import RepeatedCalibration
 from counterspin.errors import CampaignError, RecordError
 
@@ -92,6 +94,15 @@ def test_changed_inputs_are_named_with_their_effect(campaign_folder, capsys):
     assert main(["rerun", str(campaign_folder / "result.json")]) == 1
     output = " ".join(capsys.readouterr().out.split())
     assert "Changed: radius; campaign.toml" in output
+
+
+def test_changes_have_units_of_description(campaign_folder):
+    result = cs.Result.read(campaign_folder / "result.json")
+    inputs = {"latitude": math.radians(48.0), "radius": 0.0}
+    other = result.model_copy(update={"inputs": result.inputs.model_copy(update=inputs)})
+    changes = find_changes([result, other])
+    values = {change.subject: change.values[1] for change in changes}
+    assert values == {"latitude": "48 deg", "radius": "-"}
 
 
 def test_difference_above_rounding_is_reported(campaign_folder):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -62,8 +63,9 @@ def _describe_result(result: Result) -> Iterator[tuple[str, str]]:
     yield "accepted misfit", result.accepted_misfit or _NO_VALUE
     for subject, value, u, unit in (
         ("gravity", inputs.gravity, inputs.u_gravity, "m/s^2"),
-        ("latitude", inputs.latitude, inputs.u_latitude, "rad"),
-        ("radius", inputs.radius, inputs.u_radius, "m"),
+        ("latitude", math.degrees(inputs.latitude), math.degrees(inputs.u_latitude), "deg"),
+        # Tumbles and poses have no radius.
+        ("radius", inputs.radius or None, inputs.u_radius, "m"),
     ):
         yield subject, _format_quantity(value, u, unit)
     yield from _describe_model(result)

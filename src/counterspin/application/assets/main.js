@@ -46,6 +46,15 @@ const viewElement = /** @type {HTMLElement} */ (document.getElementById("view"))
 const navigation = /** @type {HTMLElement} */ (document.getElementById("places"));
 let viewNumber = 0;
 
+/** @param {string} word of an address */
+function decodeWord(word) {
+  try {
+    return decodeURIComponent(word);
+  } catch {
+    throw new Error("This page does not exist.");
+  }
+}
+
 async function show() {
   const number = ++viewNumber;
   const path = location.hash.replace(/^#/, "") || "/";
@@ -61,7 +70,7 @@ async function show() {
   let content;
   try {
     if (!route) throw new Error("This page does not exist.");
-    const parameters = /** @type {RegExpExecArray} */ (route.match).slice(1).map(decodeURIComponent);
+    const parameters = /** @type {RegExpExecArray} */ (route.match).slice(1).map(decodeWord);
     ({ title, content, begin } = await route.place.view(...parameters));
   } catch (error) {
     const isUnauthorised = error instanceof RequestError && error.status === 401;
