@@ -144,3 +144,27 @@ def test_forecast_repr_has_line_per_coefficient(tmp_path):
     value, unit = shown["Qx.K_II"].removeprefix("u = ").split()
     assert unit == "ug/g^2"
     assert float(value) == pytest.approx(1e6 * prediction.u["Qx.K_II"], rel=0.05)
+
+
+def test_readings_without_uncertainty_are_named_in_one_message(tmp_path):
+    text = """schema = 1
+[site]
+gravity = "9.8066 m/s^2"
+latitude = "45.75 deg"
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "east"
+[readings]
+file = "readings.csv"
+columns = { reading = "g", attitude = "deg" }
+motion = "static"
+about = "north"
+attitude_unit = "deg"
+"""
+    rows = [f"{angle},{np.cos(np.radians(angle)):.6f}" for angle in range(0, 360, 60)]
+    (tmp_path / "readings.csv").write_text("\n".join(["deg,g", *rows]), encoding="utf-8")
+    with pytest.raises(CampaignError) as caught:
+        forecast(write_description(tmp_path, text))
+    (problem,) = caught.value.problems
+    assert problem.startswith("a prediction requires the standard uncertainty of each reading;")
+    assert problem.endswith('("reading 1", "reading 2", "reading 3" and 3 more)')

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -39,6 +40,9 @@ from counterspin.records.reduction import block_size
 from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.simulation.simulable import check_size
 from counterspin.triads.groups import all_groups
+
+#: Number of readings named in an error message.
+_MAX_NAMES: Final = 3
 
 
 @frozen(eq=False)
@@ -157,11 +161,13 @@ def _require_data(campaign: Campaign, sampling_rate: float | Mapping[str, float]
         for index, run in enumerate(campaign.runs)
         if run.duration is None
     ]
-    problems += [
-        f'a prediction requires the standard uncertainty of the reading "{reading.name}"'
-        for reading in campaign.all_readings
-        if reading.u is None
-    ]
+    names = [f'"{reading.name}"' for reading in campaign.all_readings if reading.u is None]
+    if names:
+        rest = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+        problems.append(
+            "a prediction requires the standard uncertainty of each reading; state u in "
+            f"[readings], or the reading with ± in [[runs]] ({', '.join(names[:_MAX_NAMES])}{rest})"
+        )
     problems += [
         f'"{reading.name}" has no value, but unknown attitudes are estimated from the '
         "readings; simulate the readings first"
