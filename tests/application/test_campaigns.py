@@ -10,6 +10,7 @@ from campaigns import SMALL, write_description
 from results import seal_document
 
 from counterspin.application.campaigns import to_json
+from counterspin.calibration.calibrate import calibrate
 from triads import compute_indications, draw_directions, write_pose_campaign
 
 
@@ -29,6 +30,19 @@ def test_campaign_is_listed_with_its_result(page):
     assert "µg/g²" in result["answers"][0]["text"]
     assert body["results"] == []
     assert {"name": "K_OO", "words": "second-order output-axis coefficient"} in body["terms"]
+
+
+def test_result_without_k_ii_is_listed_with_first_coefficients(page, folder):
+    values = compute_indications(draw_directions(15, np.random.default_rng(1)))
+    write_pose_campaign(folder / "triad", values)
+    result = calibrate(folder / "triad")
+    result.write(folder / "triad" / "result.json")
+    first = {name: next(iter(a.coefficients)) for name, a in result.accelerometers.items()}
+    assert "K_II" not in first.values()
+    campaigns = page.get("/api/folder").json()["campaigns"]
+    (entry,) = (c["results"][0] for c in campaigns if c["name"] == "triad")
+    names = [f"{symbol} of {name}" for name, symbol in first.items()]
+    assert [answer["name"] for answer in entry["answers"]] == names
 
 
 def test_poses_count_as_runs(page, folder):

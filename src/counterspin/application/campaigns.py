@@ -31,6 +31,7 @@ from counterspin.application.record_plots import STUDY_NAME
 from counterspin.application.served_folder import RequestError
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import to_field_units
+from counterspin.calibration.pages.card import main_symbol
 from counterspin.calibration.pages.card import STATE_NAMES
 from counterspin.calibration.result import Result
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
@@ -131,10 +132,12 @@ def _result_entry(app: AppState, path: Path) -> ResultEntry | None:
         return {"name": name, "state": "damaged", "words": app.folder.relative_paths(str(error))}
     values: list[NamedText] = []
     for accelerometer, accelerometer_result in result.accelerometers.items():
-        if (k_ii := accelerometer_result.coefficients.get("K_II")) is not None:
-            value, u, unit = to_field_units(k_ii)
-            value_text = format_estimate(value, u, unit) if k_ii.estimated else "not determined"
-            values.append({"name": f"K_II of {accelerometer}", "text": typeset(value_text)})
+        if coefficients := accelerometer_result.coefficients:
+            symbol = main_symbol(coefficients)
+            value, u, unit = to_field_units(coefficients[symbol])
+            is_estimated = coefficients[symbol].estimated
+            value_text = format_estimate(value, u, unit) if is_estimated else "not determined"
+            values.append({"name": f"{symbol} of {accelerometer}", "text": typeset(value_text)})
     return {
         "name": name,
         "state": result.state or "good",

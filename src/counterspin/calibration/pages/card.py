@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
 from counterspin.calibration.findings import methods_agree, supporting_evidence
@@ -57,7 +57,7 @@ def accelerometer_card(
     coefficients = accelerometer.coefficients
     if not coefficients or accelerometer.state is None:
         return None
-    symbol = "K_II" if "K_II" in coefficients else next(iter(coefficients))
+    symbol = main_symbol(coefficients)
     coefficient = coefficients[symbol]
     value, u, unit = to_field_units(coefficient)
     is_determined = coefficient.estimated and value is not None and u is not None
@@ -77,6 +77,11 @@ def accelerometer_card(
         checks=tuple(_quality_checks(accelerometer)),
         paragraphs=tuple(paragraphs),
     )
+
+
+def main_symbol(coefficients: Collection[str]) -> str:
+    """Return K_II if it was requested, otherwise the first requested coefficient."""
+    return "K_II" if "K_II" in coefficients else next(iter(coefficients))
 
 
 def _describe_orientation(accelerometer: AccelerometerResult) -> str:
