@@ -31,8 +31,7 @@ from counterspin.application.record_plots import STUDY_NAME
 from counterspin.application.served_folder import RequestError
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import to_field_units
-from counterspin.calibration.pages.card import main_symbol
-from counterspin.calibration.pages.card import STATE_NAMES
+from counterspin.calibration.pages.card import STATE_NAMES, main_symbol
 from counterspin.calibration.result import Result
 from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, table_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
