@@ -258,6 +258,17 @@ export class Confirmation {
     return this.roles().parts.find((role) => answerOf(role) === name) ?? answerOf(`${name} is`) ?? "";
   }
 
+  /**
+   * The answered or detected unit of a column without a unit in the file; for the axes of a sensor, their common unit.
+   * @param {string} key of the question
+   * @returns {string}
+   */
+  unitOf(key) {
+    const question = [key, "unit"].map((candidate) => this.questions.find((known) => known.key === candidate)).find(Boolean);
+    const unit = question ? this.sentAnswers[question.key] ?? question.guess ?? "" : "";
+    return unit === "iso" ? "" : unit;
+  }
+
   /** @param {import("./answers.js").DraftOverview} draft */
   unusedColumns(draft) {
     const askedKeys = new Set(this.questions.map(({ key }) => key));
@@ -283,7 +294,8 @@ export class Confirmation {
     const cards = draft.columns.filter((column) => !unused.includes(column)).map((column) => {
       const { name, curve, first: firstValues } = column, role = this.roleOf(column);
       const isSingleRole = singleRoles.includes(role);
-      const [unit, axis] = [isSingleRole ? `${role} unit` : `${name} unit`, isSingleRole ? "" : `${name} axis`].map((key) => {
+      const unitKey = isSingleRole ? `${role} unit` : `${name} unit`;
+      const [unit, axis] = [unitKey, isSingleRole ? "" : `${name} axis`].map((key) => {
         const question = questions.get(key);
         if (!question) return null;
         keys.push(key);
@@ -292,7 +304,7 @@ export class Confirmation {
       return make("li", { class: "panel column" },
         make("div", { class: "row" }, make("code", {}, name), axis),
         make("div", { class: "row" }, this.role(column, role, questions, mistakes), unit),
-        curve ? curveFigure(name, curve) : null,
+        curve ? curveFigure(name, { ...curve, unit: curve.unit || this.unitOf(unitKey) }) : null,
         make("p", { class: "quiet first" }, `${firstValues.filter(Boolean).slice(0, 3).join(", ") || "empty"}${firstValues.length ? " …" : ""}`));
     });
     const fileCount = this.names.length > 1 ? `, ${this.names.length} files` : "";

@@ -69,7 +69,7 @@ export function curvePath(extent) {
  * @param {{extent: ([number, number]|null)[], words: string, size: number, unit: string}} curve
  */
 export function curveFigure(name, { extent, words: description, size: halfRange, unit }) {
-  const rangeText = halfRange && halfRange < 1e-3 ? halfRange.toExponential(1) : String(Number(halfRange.toPrecision(3)));
+  const rangeText = halfRange && (halfRange < 1e-3 || halfRange >= 1e6) ? halfRange.toExponential(1) : String(Number(halfRange.toPrecision(3)));
   const range = halfRange ? `± ${rangeText}${unit ? ` ${unit}` : ""}` : "constant";
   return make("figure", { class: "curve" },
     makeSvg("svg", { viewBox: `0 0 ${extent.length} 48`, role: "img", preserveAspectRatio: "none",

@@ -16,7 +16,7 @@ export async function descriptionView(name, initialId) {
   const title = file.document.campaign?.title || name || "Campaign";
   return {
     title: `Description: ${title}`,
-    content: [make("h1", {}, title), campaignTabs(name, "description", reachedStep(campaign)), makeEditor(file).element],
+    content: [make("h1", {}, `Description: ${title}`), campaignTabs(name, "description", reachedStep(campaign)), makeEditor(file).element],
     begin: initialId,
   };
 }

@@ -166,7 +166,7 @@ export async function liveView(name) {
   return {
     title: `Live: ${campaign.title}`,
     content: [
-      make("h1", {}, campaign.title), campaignTabs(name, "live", reachedStep(campaign)),
+      make("h1", {}, `Live: ${campaign.title}`), campaignTabs(name, "live", reachedStep(campaign)),
       make("p", { class: "quiet" }, "While your recorder writes records into the campaign folder, this page reads the records every second. "
         + "The ripple is given as a fraction of the rate. The residuals should be about as large as the noise."),
       make("div", { class: "row" }, labelled("Goal (coefficient and standard uncertainty)", goal)), errorBox, chart.element, container, events, command,

@@ -184,7 +184,7 @@ export async function runsView(name) {
   return {
     title: `Records: ${campaign.title}`,
     content: [
-      make("h1", {}, campaign.title), campaignTabs(name, "runs", reachedStep(campaign)),
+      make("h1", {}, `Records: ${campaign.title}`), campaignTabs(name, "runs", reachedStep(campaign)),
       ...missing,
       ...(runs.length
         ? [make("div", { class: "row" }, labelled("Run", select),

@@ -76,7 +76,7 @@ export async function tryView(name) {
   return {
     title: `Try out: ${campaign.title}`,
     content: [
-      make("h1", {}, campaign.title), campaignTabs(name, "try", reachedStep(campaign)),
+      make("h1", {}, `Try out: ${campaign.title}`), campaignTabs(name, "try", reachedStep(campaign)),
       make("section", {}, make("h2", {}, "Study"),
         make("p", { class: "quiet" }, "A study simulates the campaign many times with the true values in the ",
           make("a", { href: descriptionAddress(name, "s-truth") }, "description"),
