@@ -128,6 +128,11 @@ def test_two_inconsistent_laboratories_have_no_reference_value():
     assert "no reference value" in reference_sentence(k_ii)
 
 
+def test_requested_coefficient_is_compared_once(laboratories):
+    comparison = cs.intercompare(*laboratories, coefficients=["K_II", "K_II"])
+    assert [reference.term for reference in comparison.references] == ["K_II"]
+
+
 def add_records(laboratory):
     provenance = {"version": "1", "inputs": {"a.csv": "sha256:" + "1" * 64}}
     return make_result(laboratory, 1e-5, provenance=provenance)

@@ -605,7 +605,7 @@ def test_unwritable_target_leaves_no_file(tmp_path, capsys):
     folder = write_series(tmp_path / "results", [2.7e-5])
     assert main(["history", str(folder), "--json", str(tmp_path / "no" / "h.json")]) == 1
     assert "cannot be written" in capsys.readouterr().err
-    assert main(["history", str(folder), "--figure", str(tmp_path / "h.gif")]) == 1
+    assert main(["history", str(folder), "--figure", str(tmp_path / "h.gif")]) == 2
     captured = capsys.readouterr()
     assert ".svg, .png, .pdf" in captured.err
     assert not captured.out

@@ -142,7 +142,10 @@ def test_command_prints_and_writes_check(folder, tmp_path, capsys):
     output = capsys.readouterr().out
     for word in ("The run is usable", "Clock", "Ripple", "Residuals of Qx", "Qx.K_II"):
         assert word in output
-    assert cs.CheckedRun.read(tmp_path / "c.json") == cs.check(folder / "slow.csv", folder)
+    checked = cs.CheckedRun.read(tmp_path / "c.json")
+    assert checked == cs.check(folder / "slow.csv", folder)
+    stated = checked.run.residuals["Qx"].stated
+    assert f"m, stated {stated:g} m; " in output
     (folder / "slow.csv").write_text("")
     assert main(words) == 1
     assert "failed its checks" in capsys.readouterr().err

@@ -16,7 +16,9 @@ from counterspin.reports.numbers import (
     format_count,
     format_estimate,
     format_interval,
+    format_items,
     format_number,
+    format_p,
     format_probability,
     format_share,
     format_uncertainty,
@@ -245,3 +247,11 @@ def test_field_units_are_valid_in_campaign_files(unit):
 def test_other_units_are_unchanged():
     assert find_display_unit("g/g") == ("g/g", 1.0)
     assert find_display_unit("m/s^2") == ("m/s^2", 1.0)
+
+
+def test_underflowed_p_is_not_zero():
+    assert [format_p(p) for p in (0.5, 1e-9, 0.0)] == ["p = 0.5", "p = 1e-9", "p < 1e-300"]
+
+
+def test_single_item_is_singular():
+    assert [format_items(n, "gap") for n in (0, 1, 2)] == ["0 gaps", "1 gap", "2 gaps"]

@@ -7,10 +7,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sized
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from typing import TYPE_CHECKING, Any, Final
 
-from counterspin.calibration.result_parts import AccelerometerResult, Correlation, Trace
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    Correlation,
+    Finding,
+    State,
+    Trace,
+)
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.terms import TERMS
 
@@ -102,8 +108,11 @@ def find_faults(result: Result) -> Iterator[str]:
         yield f"the gravity is {result.inputs.gravity} m/s^2"
     if not result.accelerometers:
         yield "the result has no accelerometers"
-    if result.state in _EXPLAINED_STATES and not result.findings:
-        yield f"the state is {result.state}, but no finding gives the reason"
+    if result.accepted_misfit is None:
+        yield from _state_faults("the state", result.state, result.findings)
+        for name, accelerometer in result.accelerometers.items():
+            subject = f"the state of {name}"
+            yield from _state_faults(subject, accelerometer.state, accelerometer.findings)
     confounded_sets = [*result.confounded]
     for accelerometer in result.accelerometers.values():
         confounded_sets += accelerometer.confounded
@@ -118,12 +127,15 @@ def find_faults(result: Result) -> Iterator[str]:
         yield from find_accelerometer_faults(name, accelerometer)
 
 
+def _state_faults(subject: str, state: State | None, findings: Sequence[Finding]) -> Iterator[str]:
+    if state in _EXPLAINED_STATES and not findings:
+        yield f"{subject} is {state}, but no finding gives the reason"
+
+
 def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
     """Yield the contradictions in the result of one accelerometer."""
     if not accelerometer.coefficients:
         yield f"{name} has no coefficients"
-    if accelerometer.state in _EXPLAINED_STATES and not accelerometer.findings:
-        yield f"the state of {name} is {accelerometer.state}, but no finding gives the reason"
     yield from _coefficient_faults(name, accelerometer)
     for jackknife_line in accelerometer.jackknife:
         if jackknife_line.dof is not None and not _MIN_DOF <= jackknife_line.dof < math.inf:

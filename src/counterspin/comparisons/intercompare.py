@@ -195,14 +195,14 @@ def _determining_laboratories(
 def _compared_symbols(
     accelerometer: str, laboratories: Mapping[str, Result], requested_symbols: Sequence[str] | None
 ) -> Iterator[str]:
-    """Yield the requested coefficients; by default, those that every result determines."""
+    """Yield the requested coefficients once; by default, those that every result determines."""
     accelerometer_result = next(iter(laboratories.values())).accelerometers[accelerometer]
     known_symbols = dict.fromkeys(
         symbol
         for result in laboratories.values()
         for symbol in result.accelerometers[accelerometer].coefficients
     )
-    for symbol in (
+    for symbol in dict.fromkeys(
         accelerometer_result.coefficients if requested_symbols is None else requested_symbols
     ):
         if symbol not in known_symbols:

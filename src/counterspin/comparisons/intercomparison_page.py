@@ -12,6 +12,7 @@ from counterspin.reports.numbers import (
     find_display_unit,
     format_estimate,
     format_number,
+    format_p,
     round_to_uncertainty,
 )
 from counterspin.results import unsealed_sentences
@@ -54,7 +55,7 @@ def reference_sentence(reference: ReferenceValue) -> str:
     """Return sentences on the reference value and the consistency of the results."""
     test_text = (
         f"chi-square {format_number(reference.chi2)}, degrees of freedom: {reference.dof}, "
-        f"p = {format_number(reference.p, 2)}"
+        f"{format_p(reference.p)}"
     )
     if reference.value is None or reference.u is None or reference.p_members is None:
         return f"No two results are consistent ({test_text}), so there is no reference value."
@@ -67,7 +68,7 @@ def reference_sentence(reference: ReferenceValue) -> str:
     alternatives = "; ".join(", ".join(names) for names in reference.alternatives)
     return (
         f"Reference value {value}, from the largest consistent subset: {', '.join(member_names)} "
-        f"(p = {format_number(reference.p_members, 2)}). Results outside the subset: "
+        f"({format_p(reference.p_members)}). Results outside the subset: "
         f"{', '.join(outside_names)}. The complete set of results is not consistent ({test_text})."
     ) + (f" Other consistent subsets of the same size: {alternatives}." if alternatives else "")
 

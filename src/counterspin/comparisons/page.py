@@ -30,6 +30,7 @@ from counterspin.reports.numbers import (
     find_display_unit,
     format_estimate,
     format_number,
+    format_p,
 )
 from counterspin.results import unsealed_sentences
 
@@ -158,7 +159,7 @@ def agreement_sentence(comparison: ResultComparison, agreement: PairAgreement) -
     test_text = (
         f"chi-square {format_number(agreement.chi2)} with {agreement.dof} "
         f"{'degree' if agreement.dof == 1 else 'degrees'} of freedom, "
-        f"p = {format_number(agreement.p, 2)}"
+        f"{format_p(agreement.p)}"
     )
     return f"{subject} {verdict} ({test_text}; {overlap_text})."
 

@@ -21,6 +21,7 @@ from counterspin.reports.numbers import (
     find_display_unit,
     format_estimate,
     format_number,
+    format_p,
     format_probability,
     round_to_uncertainty,
 )
@@ -363,8 +364,7 @@ def _instrument_name(instrument: InstrumentHistory) -> str:
 def _scatter_sentence(scatter: Scatter) -> str:
     if scatter.p is None or scatter.birge is None:
         return "no degree of freedom"
-    p_text, birge_text = format_number(scatter.p, 2), format_number(scatter.birge, 2)
-    return f"chi-square p = {p_text}, Birge ratio {birge_text}"
+    return f"chi-square {format_p(scatter.p)}, Birge ratio {format_number(scatter.birge, 2)}"
 
 
 def _result_table(history: History, instrument: InstrumentHistory) -> Table:

@@ -25,7 +25,9 @@ from counterspin.reports.numbers import (
     NOT_DETERMINED,
     find_display_unit,
     format_estimate,
+    format_items,
     format_number,
+    format_p,
     format_uncertainty,
 )
 
@@ -98,9 +100,11 @@ def _coefficient_table(checked_run: CheckedRun, current_title: str) -> Table:
 
 def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
     sampling_rate_text = f"{format_number(run.sampling_rate, 5)} Hz" if run.sampling_rate else "-"
-    repeated_text = f", {run.repeated} repeated rows" if run.repeated else ""
+    repeated_text = f", {format_items(run.repeated, 'repeated row')}" if run.repeated else ""
     gaps_text = (
-        f", {run.gaps} gaps, the longest {run.longest_gap:.3g} s" if run.gaps else ", no gaps"
+        f", {format_items(run.gaps, 'gap')}, the longest {run.longest_gap:.3g} s"
+        if run.gaps
+        else ", no gaps"
     )
     stated_text = f" out of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
     yield (
@@ -125,18 +129,26 @@ def _run_rows(run: RunState) -> Iterator[tuple[str, str]]:
         yield "Ripple", _format_ripple(run)
         rms_text = f"{format_number(run.angle_rms)} rad" if run.angle_rms else "-"
         yield "Angle residuals", f"rms {rms_text}"
-    yield "Rejected or empty", f"{run.outliers} outliers, {run.empty} empty cells"
+    yield "Rejected or empty", _format_omitted(run)
     for name, mean in run.means.items():
-        averaging_text = f" over {mean.revolutions} revolutions" if mean.revolutions else ""
+        averaging_text = (
+            f" over {format_items(mean.revolutions, 'revolution')}" if mean.revolutions else ""
+        )
         yield f"Mean of {name}", f"{format_estimate(mean.value, mean.u, 'g')}{averaging_text}"
     for name, residual in run.residuals.items():
-        stated_noise_text = f", stated {format_number(residual.stated)}" if residual.stated else ""
-        p_text = "" if residual.p is None else f", p = {format_number(residual.p, 2)}"
+        stated_noise_text = (
+            f", stated {format_number(residual.stated)} {residual.unit}" if residual.stated else ""
+        )
+        p_text = "" if residual.p is None else f", {format_p(residual.p)}"
         yield (
             f"Residuals of {name}",
             f"rms {format_number(residual.rms)} {residual.unit}{stated_noise_text}; "
             f"{residual.ratio:.3f} times the noise{p_text}",
         )
+
+
+def _format_omitted(run: RunState) -> str:
+    return f"{format_items(run.outliers, 'outlier')}, {format_items(run.empty, 'empty cell')}"
 
 
 def _pose_rows(run: RunState, poses: PosesState) -> Iterator[tuple[str, str]]:
@@ -147,7 +159,7 @@ def _pose_rows(run: RunState, poses: PosesState) -> Iterator[tuple[str, str]]:
     )
     yield "Poses", f"{poses.count}{rms}"
     yield "At rest", f"where the scatter is below {format_number(poses.threshold)} m/s^2"
-    yield "Rejected or empty", f"{run.outliers} outliers, {run.empty} empty cells"
+    yield "Rejected or empty", _format_omitted(run)
     yield "Deviations from the model", ", ".join(poses.outlying) or "none"
     yield "Missing directions", "; ".join(poses.missing) or "none"
 

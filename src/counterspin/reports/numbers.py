@@ -34,6 +34,9 @@ _DISPLAY_UNITS: Final = {
 #: Exponents written without a power of ten: from 0.001 to below a million.
 _PLAIN_EXPONENTS: Final = range(-3, 6)
 
+#: Smallest p-value that is stated as a number.
+_MIN_P: Final = 1e-300
+
 #: Significant digits of a double; if more are needed, value and u are formatted separately.
 _MAX_SIGNIFICANT_DIGITS: Final = 15
 
@@ -177,6 +180,16 @@ def format_probability(probability: float) -> str:
     if probability > 0.9995:
         return "> 99.9 %"
     return f"{100.0 * probability:.1f} %"
+
+
+def format_p(p: float) -> str:
+    """Format a p-value, such as ``p = 0.03``; one too small for a double is not zero."""
+    return f"p = {format_number(p, 2)}" if p >= _MIN_P else f"p < {_MIN_P:g}"
+
+
+def format_items(count: int, noun: str) -> str:
+    """Format a count with its noun: ``1 gap``, ``2 gaps``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _is_determined(value: float | None, u: float | None) -> bool:

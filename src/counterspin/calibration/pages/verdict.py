@@ -129,7 +129,7 @@ def _capitalize(text: str) -> str:
 
 def misfit_blocks(result: Result) -> Iterator[Block]:
     """Yield a warning if a result is contradicted or not determined."""
-    if result.state not in ("not-determined", "contradicted"):
+    if result.state not in ("not-determined", "contradicted") or not result.findings:
         return
     first_finding = result.findings[0]
     if result.state == "not-determined":
