@@ -311,6 +311,7 @@ EXACT_PATHS = [
         '[model.limits]\nK_II = "0 g/g^2"',
         "model.limits.K_II: must be greater than zero",
     ),
+    ("[model.priors]", "[model.priors]\nK_IO = {}", "model.priors.K_IO: has no keys; give value"),
     ("[model.priors]", '[model.limits]\nK = "1 g"', 'model.limits.K: unknown term "K"'),
     (
         "K_III =",

@@ -120,6 +120,8 @@ def test_message_has_line_of_key_or_table(tmp_path):
         '"platform.tilt": unknown term': 4,
         'readings."table.csv row 3".reading: is not a number': None,
         "limits: is missing": None,
+        'accelerometers.Qx."a.b": unknown': 11,
+        "accelerometers: unknown key": 11,
         "no key at all": None,
     }
     assert message_lines(list(line_by_message), file) == list(line_by_message.values())

@@ -355,6 +355,29 @@ def test_invalid_value_of_section_is_reported_once(tmp_path, key, expected):
     assert problem.startswith(expected)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ('"up"', '"upp"', ["accelerometers.A.input_axis: unknown direction"]),
+        ("[readings]", "[reading]", ["reading: unknown key;", "runs: is missing"]),
+        ('mA" }', 'Ma" }', ["readings.columns: r.csv has no column"]),
+    ],
+)
+def test_mistake_that_hides_readings_is_no_mistake_of_their_terms(tmp_path, old, new, expected):
+    (tmp_path / "r.csv").write_text("angle,mA\n0,1.25\n90,0\n", encoding="utf-8")
+    text = f'{HEAD}[readings]\nfile = "r.csv"\n{SIMPLE}\n[model]\nterms = ["K_II", "head.zero"]\n'
+    text += (
+        '[model.priors]\n"head.harmonic" = "0 ± 1 arcsec"\n[truth.machine]\n"head.zero" = "1 rad"\n'
+    )
+    (tmp_path / "campaign.toml").write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(CampaignError) as caught:
+        read_campaign(tmp_path)
+    problems = caught.value.problems
+    for start in expected:
+        assert any(problem.startswith(start) for problem in problems)
+    assert not any("head." in problem for problem in problems)
+
+
 def test_same_mistake_in_many_rows_is_reported_once(tmp_path):
     table = "angle,mA\nfirst,1.25\nsecond,0\nthird,0\n30,x\nfourth,1\n"
     first, other = read_problems(tmp_path, table)

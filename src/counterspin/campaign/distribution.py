@@ -59,7 +59,8 @@ def parse_prior(raw: object, unit: str, *, gravity: float | None) -> Quantity:
     if not isinstance(raw, Mapping):
         return parse_quantity(raw, unit, gravity=gravity)
     if set(raw) not in _KEY_SETS:
-        raise InputError(f"has {', '.join(map(str, raw))}; {_ADVICE}", "conflicting-keys")
+        keys_text = ", ".join(map(str, raw)) or "no keys"
+        raise InputError(f"has {keys_text}; {_ADVICE}", "conflicting-keys")
 
     def parse_exact_key(key: str) -> float:
         quantity = parse_quantity(raw[key], unit, gravity=gravity)

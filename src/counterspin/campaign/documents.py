@@ -62,7 +62,7 @@ _MESSAGE_KEY: Final = re.compile(rf"({_KEY_PART}(?:\.{_KEY_PART}|\[\d+\])*): ")
 _TABLE_ROW: Final = re.compile(r'readings\.("[^"]*")')
 #: Largest number of rows whose identical problems are stated for each row.
 _MAX_LISTED_ROWS: Final = 3
-_LAST_KEY_PART: Final = re.compile(r"(?:\.[\w-]+|\[\d+\])$")
+_LAST_KEY_PART: Final = re.compile(r'(?:\.[\w-]+|(?<!^readings)\."[^"]*"|\[\d+\])$')
 
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
 
@@ -92,13 +92,13 @@ def description_file(location: Path | str) -> Path:
 def flatten_keys(
     table: Mapping[str, Any], prefix: str = "", is_value: Callable[[object], bool] = lambda _: False
 ) -> dict[str, Any]:
-    """Flatten nested tables to keys with dots, such as ``platform.tilt``.
+    """Flatten nested tables to keys with dots, such as ``platform.tilt``; empty ones are values.
 
     is_value: Predicate for tables that are values and stay unflattened.
     """
     flat_table: dict[str, Any] = {}
     for key, value in table.items():
-        if isinstance(value, Mapping) and not is_value(value):
+        if isinstance(value, Mapping) and value and not is_value(value):
             flat_table |= flatten_keys(value, f"{prefix}{key}.", is_value)
         else:
             flat_table[prefix + key] = value
@@ -297,6 +297,12 @@ def message_lines(messages: Sequence[str], file: Path) -> list[int | None]:
 def _message_line(message: str, lines_by_key: dict[str, int]) -> int | None:
     match = _MESSAGE_KEY.match(message)
     key = match[1] if match else ""
+    path = key.replace('"', "")
+    if key and path not in lines_by_key:
+        # A table without a header, which only the headers of inner tables name.
+        for inner_path, line in lines_by_key.items():
+            if inner_path.startswith(f"{path}."):
+                return line
     while key and key.replace('"', "") not in lines_by_key:
         # A part in quotation marks may be the row of another file.
         parent_key = _LAST_KEY_PART.sub("", key)

@@ -181,6 +181,10 @@ class DescriptionReader:
         described_readings = self._read_readings(revolutions, has_records=bool(resolved_runs))
         readings = sections["valid_readings"] = described_readings.readings
         priors = own_priors
+        # After a mistake that hides all readings, their terms are not unknown.
+        hides_readings = (
+            problems.lines and not readings and ("readings" in raw or not resolved_runs)
+        )
         if settings is not None:
             setup = MeasurementSetup(
                 self.accelerometers.mountings,
@@ -190,7 +194,7 @@ class DescriptionReader:
                 described_readings.triad.count if described_readings.triad else 0,
                 centrifuge,
                 fixture.position,
-                described_readings.is_complete,
+                described_readings.is_complete and not hides_readings,
             )
             sections["model"], priors = resolve_model(
                 settings, own_priors, setup, problems, gravity
@@ -202,7 +206,7 @@ class DescriptionReader:
             }
         simulation = self._resolve_simulation(
             resolved_runs,
-            readings if described_readings.is_complete else None,
+            readings if described_readings.is_complete and not hides_readings else None,
             described_readings.truths,
         )
         specifications = self._resolve_specifications()
