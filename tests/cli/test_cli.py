@@ -136,6 +136,13 @@ def test_unknown_option_without_command_is_named(capsys):
     )
 
 
+def test_port_outside_range_is_rejected(tmp_path, capsys):
+    for port in ("-1", "70000"):
+        assert cli.main(["serve", str(tmp_path), "--port", port]) == 2
+        message = f"counterspin: serve: --port: must be from 0 to 65535, not {port}\n"
+        assert capsys.readouterr().err == message
+
+
 def test_whole_numbers_may_have_exponents(capsys):
     assert cli.main(["study", "nowhere", "--trials", "1e3", "--seed", "30.0"]) == 2
     assert capsys.readouterr().err.startswith("counterspin: nowhere: file not found")

@@ -120,3 +120,9 @@ def test_rejects_invalid_options(tmp_path, plain_folder, capsys):
     words = ["init", str(tmp_path), "--from", str(plain_folder / "slow.csv"), "--answer", "radius"]
     assert main(words) == 2
     assert "KEY=VALUE" in capsys.readouterr().err
+    words[-1:] = ["radius=2 m", "--answer", "radius=3 m"]
+    assert main(words) == 2
+    assert "answer: radius has two different answers" in capsys.readouterr().err
+    assert main(["init", str(tmp_path / "new"), "--from"]) == 2
+    assert capsys.readouterr().err == "counterspin: init: give the data files: --from FILE ...\n"
+    assert not (tmp_path / "new").exists()

@@ -126,5 +126,5 @@ def test_existing_records_are_not_overwritten(tmp_path):
 
 def test_rejects_file_as_output_folder(tmp_path):
     (tmp_path / "taken").write_text("")
-    with pytest.raises(CounterspinError, match="taken cannot be used"):
+    with pytest.raises(CounterspinError, match="taken is a file, not a folder"):
         demo(tmp_path / "taken")

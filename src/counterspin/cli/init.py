@@ -52,7 +52,7 @@ def init(
         _import_files(directory, from_, answer or [], test, is_interactive=not yes)
         return
     if yes or answer or from_ is not None:
-        raise UsageError("init", ["give the recorder files: --from FILE ..."])
+        raise UsageError("init", ["give the data files: --from FILE ..."])
     from counterspin.ingest.starter import init as write_starter
 
     path = write_starter(directory, test or "double-turntable")
@@ -161,12 +161,13 @@ def _choose_test(contents: Sequence[FileContents], *, is_interactive: bool) -> T
 
 
 def _parse_answers(answer_options: list[str]) -> dict[str, str]:
-    answers = {}
+    answers: dict[str, str] = {}
     for option in answer_options:
         key, separator, value = option.partition("=")
         if not separator or not value.strip():
             raise UsageError("init", [f'answer: "{option}" is not of the form KEY=VALUE'])
-        answers[key.strip()] = value.strip()
+        if answers.setdefault(key.strip(), value.strip()) != value.strip():
+            raise UsageError("init", [f"answer: {key.strip()} has two different answers"])
     return answers
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 from counterspin.cli.common import (
     NO_RESULT_FILE,
@@ -16,6 +16,8 @@ from counterspin.cli.common import (
     quote_path,
 )
 from counterspin.errors import CounterspinError, MissingPackageError, UsageError, install_command
+
+_MAX_PORT: Final = 65535
 
 
 @command
@@ -66,6 +68,8 @@ def serve(
     """
     if (signer is None) != (cert is None):
         raise UsageError("serve", ["give both --signer and --cert"])
+    if not 0 <= port <= _MAX_PORT:
+        raise UsageError("serve", [f"--port: must be from 0 to {_MAX_PORT}, not {port}"])
     try:
         from counterspin.application.server import serve as run_server
     except ModuleNotFoundError as error:

@@ -18,7 +18,7 @@ from counterspin.campaign.documents import DESCRIPTION_NAME
 from counterspin.errors import ExistingFileError, WriteError
 from counterspin.frozen import frozen
 from counterspin.input import read_file
-from counterspin.output import write_text
+from counterspin.output import make_folder, write_text
 from counterspin.simulation.simulate import simulate
 from counterspin.toml_text import parse_toml
 
@@ -105,8 +105,8 @@ def write_description(folder: Path) -> None:
             raise ExistingFileError(
                 f"{existing_records[0]} does not belong to a demonstration; choose another folder"
             )
-        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise WriteError(f"{folder} cannot be used ({error.strerror})") from error
+    make_folder(folder)
     if not path.exists():
         write_text(path, text)
