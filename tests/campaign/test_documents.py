@@ -24,6 +24,7 @@ from counterspin.campaign.documents import (
     key_lines,
     merge_patch,
     message_lines,
+    parse_document,
     to_toml_value,
 )
 from counterspin.campaign.memory import make_campaign
@@ -175,6 +176,33 @@ def test_rejects_deeply_nested_key_with_file_and_line(tmp_path, name):
             read(file)
         assert raised.value.code == "invalid-toml"
         assert str(raised.value).startswith(f"{file}: line 2: ")
+
+
+SYNTAX_ERRORS = {
+    'title = "cut': "line 2: the file ends within a key, a value or a table; complete it",
+    "title": "line 2: the file ends within a key, a value or a table; complete it",
+    "terms = [1,\n": "line 2: the file ends within a key, a value or a table; complete it",
+    'title = "open\na = 1\n': "line 2, column 14: the closing quotation mark is missing on this",
+    "title: 3\n": "line 2, column 6: '=' is missing after the key; write KEY = VALUE",
+    "rate = 3 rad/s\n": "line 2, column 10: more text follows the value; write text, such as",
+    "rate = rad/s\n": "line 2, column 8: invalid value; write text, such as a quantity, in quot",
+    "= 3\n": "line 2, column 1: a key, a table or a comment must begin here; write KEY = VALUE",
+    "terms = [1 2]\n": "line 2, column 12: a comma or the ']' of the list is missing; write",
+    "angle = { a = 1\nb = 2 }\n": "line 2, column 16: a comma or the '}' of the table is missing",
+    "[site\na = 1\n": "line 2, column 6: ']' is missing after the name of the table",
+    "a = 1\na = 2\n": "line 3, column 6: the key occurs twice; keep only one of them",
+    "[site]\n[site]\n": "line 3, column 6: the table [site] occurs twice; keep only one of them",
+    'file = "C:\\data"\n': r"line 2, column 13: unescaped '\' in a string; in double quotation",
+    "a = 1\rb = 2\r": "line 2, column 6: ",
+}
+
+
+@pytest.mark.parametrize("text", SYNTAX_ERRORS)
+def test_syntax_errors_are_explained_with_position(text):
+    with pytest.raises(CampaignError) as raised:
+        parse_document(f"schema = 1\n{text}".encode(), "a.toml")
+    assert raised.value.code == "invalid-toml"
+    assert str(raised.value).startswith(f"a.toml: {SYNTAX_ERRORS[text]}")
 
 
 def test_python_values_become_toml_types():

@@ -214,16 +214,70 @@ def _merge_rows(problems: Sequence[str]) -> list[str]:
     return merged_problems
 
 
-def _explain_syntax_error(message: str) -> tuple[str, str]:
-    """Return a message of the TOML parser in plain words, and the action to take."""
+#: Starts of a message of the TOML parser -> message in plain words, and the action to take.
+_SYNTAX_ERRORS: Final = (
+    (
+        (
+            "Cannot overwrite",
+            "Cannot mutate",
+            "Cannot redefine",
+            "Duplicate inline table key",
+        ),
+        "the key occurs twice",
+        "keep only one of them",
+    ),
+    (("Expected ']'",), "']' is missing after the name of the table", "write, for example, [site]"),
+    (("Expected '='",), "'=' is missing after the key", "write KEY = VALUE"),
+    (
+        ("Invalid statement", "Invalid initial character for a key"),
+        "a key, a table or a comment must begin here",
+        "write KEY = VALUE, [TABLE] or # COMMENT, with text in quotation marks",
+    ),
+    (
+        ("Expected newline or end of document",),
+        "more text follows the value",
+        "write text, such as a quantity, in quotation marks",
+    ),
+    (("Unclosed array",), "a comma or the ']' of the list is missing", "write [ITEM, ITEM]"),
+    (
+        ("Unclosed inline table",),
+        "a comma or the '}' of the table is missing on this line",
+        "write { KEY = VALUE, KEY = VALUE }",
+    ),
+    (
+        (r"Illegal character '\n'", r"Illegal character '\r'"),
+        "the closing quotation mark is missing on this line",
+        "add it, because a text must end on its line",
+    ),
+    (
+        (r"Found invalid character '\r'",),
+        "the line ends with a carriage return only",
+        "save the file with the line ends of Windows or Linux",
+    ),
+)
+
+
+def _explain_syntax_error(message: str, location: str, text: str) -> str:
+    """Return the message of the TOML parser in plain words, with the action to take."""
+    if location == "end of document":
+        line_count = text.rstrip().count("\n") + 1
+        return (
+            f"line {line_count}: the file ends within a key, a value or a table; complete it, or "
+            "close the quotation mark or bracket that is open"
+        )
     if message.startswith("Cannot declare"):
         table_name = ".".join(re.findall(r"'([^']*)'", message))
-        return f"the table [{table_name}] occurs twice", "keep only one of them"
-    if message.startswith(("Cannot overwrite a value", "Duplicate inline table key")):
-        return "the key occurs twice", "keep only one of them"
-    if message.startswith("Expected ']'"):
-        return "']' is missing after the name of the table", "write, for example, [site]"
-    return message[:1].lower() + message[1:], "write text, such as a quantity, in quotation marks"
+        return f"{location}: the table [{table_name}] occurs twice; keep only one of them"
+    if message.startswith(("Unescaped", "Invalid hex value", "Escaped character")):
+        return (
+            f"{location}: {message[:1].lower()}{message[1:]}; in double quotation marks, a "
+            f"backslash starts an escape sequence such as \\n; {BACKSLASH_ADVICE}"
+        )
+    for starts, plain_message, advice in _SYNTAX_ERRORS:
+        if message.startswith(starts):
+            return f"{location}: {plain_message}; {advice}"
+    plain_message = message[:1].lower() + message[1:]
+    return f"{location}: {plain_message}; write text, such as a quantity, in quotation marks"
 
 
 def parse_document(content: bytes, source: str) -> dict[str, Any]:
@@ -247,13 +301,8 @@ def parse_document(content: bytes, source: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         match = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
         message, location = (match[1], match[2]) if match else (str(error), "TOML")
-        message, advice = _explain_syntax_error(message)
-        if "\\" in message or "hex value" in message:
-            advice = (
-                "in double quotation marks, a backslash starts an escape sequence such as \\n;  "
-                + BACKSLASH_ADVICE
-            )
-        problem = f"{location}: {message}; {advice}"
+        text = content.decode("utf-8-sig", "replace")
+        problem = _explain_syntax_error(message, location, text)
     except ValueError as error:
         # Python refuses integers with thousands of digits.
         problem = f"cannot be read: {error}".partition(";")[0]

@@ -228,6 +228,12 @@ def check_gravity(value: Any) -> Any:
     return value
 
 
+def check_axis(value: str) -> str:
+    """Return a name of a direction, if it is known."""
+    read_direction(value)
+    return value
+
+
 def check_latitude(value: Any) -> Any:
     """Return an angle, or a quantity, if it can be a latitude."""
     magnitude = value.value if isinstance(value, Quantity) else value

@@ -16,6 +16,7 @@ from counterspin.campaign.field_types import (
     Seconds,
     SettingsSection,
     Text,
+    check_axis,
     check_positive,
     exact_quantity,
     key_field,
@@ -163,7 +164,9 @@ class StationsSettings(SettingsSection):
         None,
         absent="26 poses: every axis, pair of axes and triple of axes",
     )
-    about: Text = key_field("axis of rotation of the positions", "east", "north")
+    about: Annotated[Text, AfterValidator(check_axis)] = key_field(
+        "axis of rotation of the positions", "east", "north"
+    )
     u_angle: Annotated[float, exact_quantity("rad"), AfterValidator(_check_not_negative)] = (
         key_field(
             "random error of the dividing head at each position", "2 arcsec", 0.0, absent="0 rad"

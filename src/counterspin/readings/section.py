@@ -7,7 +7,13 @@ from typing import Annotated, Final, Literal
 from pydantic import AfterValidator
 
 from counterspin.campaign.columns import Sense, TableDialect
-from counterspin.campaign.field_types import SettingsSection, Text, check_file_name, key_field
+from counterspin.campaign.field_types import (
+    SettingsSection,
+    Text,
+    check_axis,
+    check_file_name,
+    key_field,
+)
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.physics.conditions import STATED_CONDITIONS
 from counterspin.physics.terms import MotionKind
@@ -75,7 +81,9 @@ class ReadingsSettings(TableDialect, _TableFile):
     motion: MotionKind = key_field(
         "motion of every row, if no column specifies the motion", "arm", "static"
     )
-    about: Text = key_field("axis of the angles in the column `attitude`", "east", "north")
+    about: Annotated[Text, AfterValidator(check_axis)] = key_field(
+        "axis of the angles in the column `attitude`", "east", "north"
+    )
     attitude_unit: Text = key_field(
         "unit of the angles in the columns `attitude` and `head`", "arcmin", "deg"
     )

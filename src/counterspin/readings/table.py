@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from counterspin.campaign.columns import Sense
 from counterspin.campaign.documents import KeyPath, list_of, table_of, to_toml_value
 from counterspin.campaign.field_types import parse_exact
-from counterspin.campaign.quantity import HeadTurn, Quantity, parse_quantity, read_direction
+from counterspin.campaign.quantity import HeadTurn, Quantity, parse_quantity
 from counterspin.campaign.runs import ReadingAxes
 from counterspin.campaign.settings import Output
 from counterspin.campaign.validation import Problems, suggest_name
@@ -373,7 +373,6 @@ class ReadingsTable:
     def _check_quantities(self) -> None:
         """Report invalid quantities and units of the section."""
         settings, problems = self.settings, self.problems
-        problems.collect(("readings", "about"), read_direction, settings.about)
         problems.collect(("readings", "attitude_unit"), unit_factor, settings.attitude_unit, "rad")
         if "rate" in settings.columns:
             problems.collect(("readings", "rate_unit"), self._parse_rate, 1.0, settings.sense)
