@@ -162,6 +162,10 @@ SLIPS = {
         'accelerometers.A.output.sensitivity: is missing; give the nominal output, such as "1.25 '
         'mA/g"',
     ),
+    "an acceleration without a sensitivity": (
+        HEAD.replace('unit = "mA", sensitivity = "1.25 mA/g"', 'unit = "m/s^2"'),
+        'is missing; give the nominal output, such as "9.80665 m/s^2/g"',
+    ),
     "no centrifuge": (HEAD + ON_ARM, "centrifuge: is missing"),
     "no reading": (
         HEAD + RUN.replace("reading =", "# reading ="),

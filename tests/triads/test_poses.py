@@ -251,3 +251,21 @@ def test_thousand_poses_need_less_than_ten_seconds():
     begin = time.process_time()
     solve_readings([triads.make_poses(values)], triads.make_unknowns())
     assert time.process_time() - begin < 10.0  # a tenth of it on a quiet machine
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda values: 9.81 * values, "a magnitude of 9.6 to 10 g instead of 1 g"),
+        (lambda values: 1e-3 * values, "g instead of 1 g; check the unit and the sensitivity"),
+        (
+            lambda values: np.column_stack([np.roll(values[:, 0], 1), values[:, 1:]]),
+            "check whether the three columns belong together",
+        ),
+        (lambda values: np.abs(values), "deg of their mean; measure poses in all directions"),
+    ],
+)
+def test_divergence_has_reason(change, reason):
+    directions = triads.draw_directions(24, np.random.default_rng(3))
+    poses = triads.make_poses(change(triads.compute_indications(directions)))
+    assert reason in poses.divergence_message(100)

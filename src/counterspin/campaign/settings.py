@@ -11,6 +11,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BeforeValidator, PlainValidator, ValidationInfo
@@ -173,8 +174,12 @@ def _parse_sensitivity(value: object, info: ValidationInfo) -> float:
         try:
             return unit_factor("g", unit)
         except ValueError:
+            example = 1.25
+            with suppress(ValueError):
+                example = unit_factor("g", unit, gravity=9.80665)
             raise InputError(
-                f'is missing; give the nominal output, such as "1.25 {unit}/g"', "missing-key"
+                f'is missing; give the nominal output, such as "{example:g} {unit}/g"',
+                "missing-key",
             ) from None
     sensitivity = parse_exact(value, f"{unit}/g")
     if sensitivity == 0.0:

@@ -34,6 +34,9 @@ _SYMBOLS: Final = tuple(TERMS)
 #: Iterations for the two angles of a pose; each multiplies the error by about the residual.
 _MAX_ITERATIONS: Final = 40
 
+#: Largest deviation of the magnitude of the outputs of a correct triad from 1 g, g.
+_MAX_MAGNITUDE_ERROR: Final = 0.4
+
 #: The iteration has converged when no direction moves by more, rad.
 _CONVERGENCE_TOLERANCE: Final = 1e-14
 
@@ -469,15 +472,30 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
 
 def _divergence_error(poses: TriadPoses, n_iterations: int) -> str:
     """Return the error message of a fit that does not converge, as for nearly equal directions."""
-    unit_vectors = poses.value / np.linalg.norm(poses.value, axis=1)[:, None]
-    mean_direction = unit_vectors.mean(axis=0)
-    max_angle = math.degrees(
-        math.acos(
-            np.clip(np.min(unit_vectors @ mean_direction) / np.linalg.norm(mean_direction), -1, 1)
+    magnitudes = np.linalg.norm(poses.value, axis=1)
+    lowest, highest = np.quantile(magnitudes, (0.1, 0.9)).tolist()
+    mean_direction = (poses.value / magnitudes[:, None]).mean(axis=0)
+    cosines = poses.value @ mean_direction / magnitudes / np.linalg.norm(mean_direction)
+    max_angle = math.degrees(math.acos(np.clip(cosines.min(), -1.0, 1.0)))
+    if min(abs(lowest - 1.0), abs(highest - 1.0)) > _MAX_MAGNITUDE_ERROR and (
+        lowest > 1.0 or highest < 1.0
+    ):
+        reason = (
+            f"The outputs of most poses have a magnitude of {lowest:.2g} to {highest:.2g} g "
+            "instead of 1 g; check the unit and the sensitivity."
         )
-    )
+    elif highest - lowest > _MAX_MAGNITUDE_ERROR:
+        reason = (
+            f"The magnitude of the outputs varies from {lowest:.2g} to {highest:.2g} g, but at "
+            "rest it is 1 g in all poses; check whether the three columns belong together, and "
+            "their units."
+        )
+    else:
+        reason = (
+            f"The directions of the poses lie within {max_angle:.0f} deg of their mean; measure "
+            "poses in all directions, or state priors for the coefficients."
+        )
     return (
         f"{poses.accelerometer}: the fit of {poses.size} poses did not converge in "
-        f"{n_iterations} iterations. The directions of the poses lie within {max_angle:.0f} deg of "
-        "each other; measure poses in all directions, or state priors for the coefficients."
+        f"{n_iterations} iterations. {reason}"
     )
