@@ -273,6 +273,18 @@ def test_gross_errors_are_named_among_default_priors(tmp_path, indices):
     assert result.state == "contradicted"
 
 
+def test_drift_without_temperatures_is_named(tmp_path):
+    values = simulate_readings(make_tumble(12), np.random.default_rng(6), SIGMA, truth=LEVEL)
+    values = np.append(values, values) + 25.0 * SIGMA * np.arange(24) / 24.0
+    angles = 2 * evenly_spaced_angles(12)
+    head = '[model.priors]\n"head.harmonic" = "0 ± 1e-6 rad"\n'
+    result = calibrate_readings(tmp_path, angles, values, u=SIGMA, assume=[], more=[head])
+    text = next(f.text for f in result.findings if f.subject == "A.K_F.temperature")
+    assert "omits" not in text
+    assert "Because no temperature is stated, counterspin assumes a rise of 1 K" in text
+    assert "Look for a drift or a step in the order of the readings" in text
+
+
 def test_missing_cubic_term_on_arm_is_named(tmp_path):
     test = make_arm_test()
     truth = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6, "K_III": 2e-6}

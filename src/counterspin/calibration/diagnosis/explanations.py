@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from counterspin.calibration.checks.priors import FindingText, PriorExplanation
+from counterspin.campaign.conditions import DEFAULT_WARMING, assumed_temperatures
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.frozen import frozen
 from counterspin.inference.joint import mistakes
@@ -38,11 +39,8 @@ class Explanation(PriorExplanation):
         name, limit = self.alternative.name, self.alternative.credible_range[1]
         if not self.alternative.owner and term(self.alternative.symbol).per_run:
             name += " in all runs"
-        text = (
-            f"The model omits {name}. A value of "
-            f"{self._format_estimate(unit_of(self.alternative.symbol))} would explain the "
-            "records. "
-        )
+        estimate_text = self._format_estimate(unit_of(self.alternative.symbol))
+        text = f"The model omits {name}. A value of {estimate_text} would explain the records. "
         label = f"{name}, which the model omits"
         if abs(self.value) > limit:
             display_unit, factor = find_display_unit(unit_of(self.alternative.symbol))
@@ -54,11 +52,27 @@ class Explanation(PriorExplanation):
                 "mistake with the same effect."
             )
             label += " and whose value would not be credible"
+        elif self._has_assumed_temperatures:
+            text = (
+                f"{name} = {estimate_text} would explain the readings. Because no temperature is "
+                f"stated, counterspin assumes a rise of {DEFAULT_WARMING:g} K from the first to "
+                "the last reading. Look for a drift or a step in the order of the readings, or "
+                "state their temperatures."
+            )
+            label = f"a drift with the effect of {name}"
         else:
             text += "Add the term to the model, or state a prior for it."
         return FindingText(
             code="term-missing", subject=self.alternative.name, text=text, name=label
         )
+
+    @property
+    def _has_assumed_temperatures(self) -> bool:
+        """Whether the alternative is a temperature slope of readings without temperatures."""
+        owner, readings = self.alternative.owner, self.campaign.readings
+        series = [reading for reading in readings if reading.accelerometer == owner]
+        is_slope = ".temperature" in self.alternative.symbol and not self.fit.design_blocks
+        return is_slope and bool(assumed_temperatures(series))
 
     @property
     def _record_names(self) -> str:
