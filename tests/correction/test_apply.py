@@ -30,7 +30,7 @@ from counterspin.calibration.result_parts import (
     ReadingResult,
 )
 from counterspin.correction.apply import ApplyOptions, apply
-from counterspin.correction.apply_file import apply_file
+from counterspin.correction.apply_file import _stated_units, apply_file
 from counterspin.correction.instrument import make_instrument
 from counterspin.errors import CampaignError, ConvergenceError
 from counterspin.inference.joint.summary import BudgetLine, Jackknife
@@ -263,6 +263,20 @@ def test_missing_number_leaves_row_empty(folder, capsys):
     assert run("result.json", "none.csv", "--accelerometer", "Qx", "-o", "no.csv") == 1
     assert "no row " in capsys.readouterr().err
     assert not Path("no.csv").exists()
+
+
+def test_unit_in_column_name_must_agree(folder, capsys):
+    words = ["result.json", "data.csv", "--accelerometer=Qx", "--overwrite", "-o", "out.csv"]
+    write_table("t,f (m/s^2)\n0,9.8\n1,\n")
+    assert run(*words, "--input=f (m/s^2)", "--unit=m/s^2") == 0
+    assert "1 of these rows lacks a number and remains empty" in capsys.readouterr().out
+    assert run(*words, "--input=f (m/s^2)") == 1
+    error = " ".join(capsys.readouterr().err.split())
+    assert "column 'f (m/s^2)' is in 'm/s^2' according to the file, but in 'g'" in error
+    # Beside outputs, cross-axis forces are in g.
+    options = [ApplyOptions(unit=unit, pendulous="P") for unit in ("mA", "mg")]
+    assert _stated_units(["A", "P"], options[0]) == {"A": "mA", "P": "g"}
+    assert _stated_units(["A", "P"], options[1]) == {"A": "mg", "P": "mg"}
 
 
 def test_cross_axis_force_from_column_constant_or_accelerometer(folder, capsys):

@@ -26,11 +26,14 @@ from counterspin.output import (
 )
 from counterspin.physics.correction import NotInvertibleError
 from counterspin.records.formats import locate, read_numbers, read_table
-from counterspin.records.unit_notation import _CELSIUS_UNITS
+from counterspin.records.unit_notation import _CELSIUS_UNITS, bracketed_unit
 from counterspin.units import ZERO_CELSIUS, is_same_unit, unit_factor
 
 #: Option -> example of a constant.
 _CONSTANT_EXAMPLES: Final = {"pendulous": "-1 g", "output_axis": "-1 g", "temperature": "23 degC"}
+
+#: Gravity for deciding whether a unit is one of specific force, m/s^2.
+_ANY_GRAVITY: Final = 9.8
 
 #: Suffix of the output -> delimiter of its cells; None for Parquet.
 _SEPARATORS: Final[Mapping[str, str | None]] = {
@@ -150,8 +153,7 @@ def apply_file(
         column = others.pop(accelerometer)
     for name in (accelerometer, *others):
         make_instrument(result, name)  # refuse a wrong name before reading the file
-    table = read_table(source, options.dialect)
-    frame = table.frame
+    frame = (table := read_table(source, options.dialect)).frame
     inputs: dict[str, Any] = {
         name: text
         for name in ("pendulous", "output_axis", "temperature")
@@ -162,10 +164,10 @@ def apply_file(
     corrected_columns = {accelerometer: column, **(others if corrects_all else {})}
     names = sorted({column, *used_columns, *others.values()})
     values = read_numbers(source, names, options.dialect)
-    units = {name: table.units.get(name, "") for name in names}
+    units = {name: table.units.get(name) or bracketed_unit(name) for name in names}
     temperature_column = inputs.get("temperature")
-    force_units = {name: unit for name, unit in units.items() if name != temperature_column}
-    _check_units(source, force_units, options.unit)
+    force_names = [name for name in names if name != temperature_column]
+    _check_units(source, units, _stated_units(force_names, options))
     if temperature_column in values:
         values[temperature_column] = _convert_to_celsius(
             source, temperature_column, values[temperature_column], units[temperature_column]
@@ -222,14 +224,25 @@ def _only_accelerometer(result: Result, others: Mapping[str, Any]) -> str | None
     return names[0] if len(names) == 1 and not others else None
 
 
-def _check_units(source: Path, units: Mapping[str, str], stated_unit: str) -> None:
-    """Raise RecordError if a unit in the file's row of units differs from the stated unit."""
-    for name, file_unit in units.items():
-        if file_unit and not is_same_unit(file_unit, stated_unit):
+def _stated_units(names: list[str], options: ApplyOptions) -> dict[str, str]:
+    """Return the unit of each column; beside outputs such as mA, cross-axis forces are in g."""
+    unit = cross_unit = options.unit
+    try:
+        unit_factor(unit, "g", gravity=_ANY_GRAVITY)
+    except ValueError:
+        cross_unit = "g"
+    cross_columns = [options.pendulous, options.output_axis]
+    return {name: cross_unit if name in cross_columns else unit for name in names}
+
+
+def _check_units(source: Path, units: Mapping[str, str], stated_units: Mapping[str, str]) -> None:
+    """Raise RecordError if a unit in the file differs from the stated unit of a force."""
+    for name, stated_unit in stated_units.items():
+        if units[name] and not is_same_unit(units[name], stated_unit):
             raise RecordError(
-                f"{source}: column '{name}' is in '{file_unit}' according to the units row of "
-                f"the file, but in '{stated_unit}' according to `unit`; all forces must be in the "
-                "same unit, which is stated with `unit`.",
+                f"{source}: column '{name}' is in '{units[name]}' according to the file, but in "
+                f"'{stated_unit}' according to `unit`; all forces must be in the same unit, which "
+                "is stated with `unit`. Beside outputs such as mA, cross-axis forces are in g.",
                 code="unit-mismatch",
             )
 

@@ -35,9 +35,8 @@ def _column_blocks(file: CorrectedFile) -> list[Block]:
         return f"{format_number(row.u, 2)} {unit} at {format_number(row.indicated, 6)} {unit}"
 
     format_text = f" File format: {file.found}." if file.found else ""
-    missing_text = (
-        f"; {file.missing} of these rows lack a number and remain empty" if file.missing else ""
-    )
+    verbs = "lacks a number and remains" if file.missing == 1 else "lack a number and remain"
+    missing_text = f"; {file.missing} of these rows {verbs} empty" if file.missing else ""
     return [
         Paragraph(
             f"{file.rows} rows of {file.column}, from "
