@@ -41,13 +41,13 @@ assume = "all"
 """
 
 
-def calibrate_tumble(folder, fault=lambda values, angles: values, seed=4):
+def calibrate_tumble(folder, fault=lambda values, angles: values, seed=4, u=SIGMA):
     """Calibrate a tumble of 12 positions with a fault of its readings, both in g and rad."""
     rng, angles = np.random.default_rng(seed), np.arange(12) * math.pi / 6.0
     noise = SIGMA * rng.standard_normal(12)
     values = fault(2e-3 + np.cos(angles), angles) + noise
     runs = (
-        format_rest_run(f"p{k}", f"{30 * k} deg about north", f"{value:.9f} ± {SIGMA} g")
+        format_rest_run(f"p{k}", f"{30 * k} deg about north", f"{value:.9f} ± {u} g")
         for k, value in enumerate(values.tolist())
     )
     return calibrate(write_description(folder, "".join([TUMBLE, *runs])).parent)
@@ -106,6 +106,11 @@ def test_result_with_unseen_faults_is_good_with_remark(tmp_path):
     assert "gain" in a.unseen_faults[0]
     (remark,) = (text for text in result.warnings if "would not reveal these faults" in text)
     assert all(clause in remark for clause in a.unseen_faults)
+
+
+def test_readings_that_determine_nothing_have_no_undetected_faults(tmp_path):
+    result = calibrate_tumble(tmp_path, u=7.0)
+    assert result.accelerometers["A"].unseen_faults == []
 
 
 def calibrate_on_arm(folder, change, *, sense=1.0, sigma=SIGMA, head=ARM):
