@@ -1,15 +1,14 @@
-"""An independent model of records and readings, and a dense least squares, for make_fits.py.
+"""Independent model of records and readings, and dense least squares, for make_fits.py.
 
-Nothing here uses counterspin. The physics is written down as a machine and an instrument in the
-time domain (position, velocity, specific force, attitude error, indicated force, integrals of it),
-with every error term as a number that is given: `record` and `reading` say what is recorded. A fit
-takes all rows at once: the derivatives by everything unknown are central differences of that model,
-the covariance of the noise is a full matrix for each record, and what is known beforehand are
-further rows:
+Nothing here uses counterspin. The model describes machine and instrument in the time domain
+(position, velocity, specific force, attitude error, indicated force and its integrals), with given
+values of all error terms: `simulate_record` and `simulate_reading` return the recorded values. A
+fit uses all rows at once: derivatives are central differences of the model, the noise of each
+record has a full covariance matrix, and priors are additional rows:
 
     x = argmin (y - h(x))' V^-1 (y - h(x)) + sum ((x_j - m_j)/s_j)^2        (Gauss and Newton)
     C = (J' V^-1 J + P)^-1,  of the noise C J' V^-1 J C,  of prior j  C_j C_j'/s_j^2
-    of a held term: (C J' V^-1 h_held) s, which no weight knows of
+    of a considered term: (C J' V^-1 h_considered) s, not included in the weights
 
 Units: m, s, rad; coefficients of an accelerometer in g-units. East-north-up.
 """
@@ -21,8 +20,7 @@ import numpy as np
 
 EARTH_RATE = 7.292115e-5
 
-#: Coefficient -> the axes whose specific forces are multiplied; J stands for the size of a_I, S for
-#: its sign.
+#: Coefficient -> axes whose specific forces are multiplied; J: magnitude of a_I, S: its sign.
 PRODUCTS = {
     "K_F": "",
     "K_I": "I",
@@ -42,7 +40,7 @@ PRODUCTS = {
     "delta_P": "O",
 }
 WEIGHTS = {"delta_P": -1.0, "K_0_asym": 0.5, "K_I_asym": 0.5}
-#: Between minus and plus this, g, a reading has the sign of a_I linearly.
+#: Half-width of the linear transition of the sign of a_I in readings, g.
 SIGN_WIDTH = 1e-3
 AXES = {
     "east": (1.0, 0.0, 0.0),
@@ -52,7 +50,7 @@ AXES = {
     "up": (0.0, 0.0, 1.0),
     "down": (0.0, 0.0, -1.0),
 }
-ON_THE_ARM = {
+ARM_AXES = {
     "outward": (1.0, 0.0, 0.0),
     "inward": (-1.0, 0.0, 0.0),
     "forward": (0.0, 1.0, 0.0),
@@ -61,41 +59,41 @@ ON_THE_ARM = {
     "down": (0.0, 0.0, -1.0),
 }
 
-# Gauss's nodes of a panel, weights, and what takes values there to the integral up to each node.
+# Gauss-Legendre nodes and weights of a panel, and weights of the integrals up to each node.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _BASIS = np.linalg.inv(np.polynomial.legendre.legvander(_NODES, 9))
-_UPTO = np.stack(
+_CUMULATIVE_WEIGHTS = np.stack(
     [
         np.polynomial.legendre.legval(_NODES, np.polynomial.legendre.legint(row, lbnd=-1))
         for row in np.eye(10)
     ],
     axis=1,
 )
-_UPTO = _UPTO @ _BASIS
+_CUMULATIVE_WEIGHTS = _CUMULATIVE_WEIGHTS @ _BASIS
 
 #: Panels between two samples.
-_PARTS = 3
+_PANELS_PER_SAMPLE = 3
 
 
 @dataclass(frozen=True)
 class Instrument:
-    """An accelerometer: its axes on the level platform, and what its column holds."""
+    """An accelerometer: its axes on the level platform, and its observable."""
 
     name: str
     input_axis: str
     pendulous_axis: str
-    observable: str = "displacement"  #: or velocity, or force
-    per_g: float = 1.0  #: What one g is in its readings and records of force.
+    observable: str = "displacement"  #: or "velocity", "force"
+    per_g: float = 1.0  #: Output per g, of readings and records of force.
 
     def axes(self, names=AXES):
-        """Rows I, P, O."""
+        """Return the axes as rows I, P, O."""
         i, p = (np.array(names[axis]) for axis in (self.input_axis, self.pendulous_axis))
         return np.stack([i, p, np.cross(i, p)])
 
 
 @dataclass(frozen=True)
 class Run:
-    """Describe the motion of a record: constant rate with relative drift and ripple."""
+    """Motion of a record: constant rate with relative drift and ripple."""
 
     name: str
     rate: float
@@ -103,24 +101,24 @@ class Run:
     start_angle: float = 0.0
     drift: float = 0.0
     ripple: tuple = (0.0, 0.0)  #: amplitude (rad/s) and phase of the first harmonic
-    turn: tuple = (0.0, "east")  #: of the platform: angle, and about what
-    begins: float = 0.0  #: s, after the first run
-    warmth: float = 0.0  #: K, above the reference temperature
-    way: float = 0.0  #: 1/2 where that was reached from below, -1/2 from above
+    turn: tuple = (0.0, "east")  #: of the platform: angle and axis
+    start_time: float = 0.0  #: s, after the first run
+    temperature_change: float = 0.0  #: K, above the reference temperature
+    temperature_direction: float = 0.0  #: 1/2: temperature reached from below, -1/2: from above
 
     def angle(self, t):
-        """Recorded angle, its rate and its acceleration at times of the record."""
-        w, (size, phase) = self.rate, self.ripple
+        """Return the recorded angle and its first two derivatives at times of the record."""
+        w, (amplitude, phase) = self.rate, self.ripple
         wave = w * t + phase
         angle = self.start_angle + w * t + 0.5 * self.drift * w * t**2
-        angle = angle - size / w * (np.cos(wave) - np.cos(phase))
-        rate = w + self.drift * w * t + size * np.sin(wave)
-        return angle, rate, self.drift * w + size * w * np.cos(wave)
+        angle = angle - amplitude / w * (np.cos(wave) - np.cos(phase))
+        rate = w + self.drift * w * t + amplitude * np.sin(wave)
+        return angle, rate, self.drift * w + amplitude * w * np.cos(wave)
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One value at rest or on the arm."""
+    """A reading at rest or on the arm."""
 
     name: str
     motion: str
@@ -130,95 +128,114 @@ class Reading:
     u_rate: float = 0.0  #: random standard uncertainty of the rate, relative
     head: tuple = (0.0, 0.0, 0.0)  #: axis of the dividing head
     u_head: float = 0.0
-    head_angle: float = 0.0  #: what the head shows, rad
-    warmth: float = 0.0
-    way: float = 0.0
-    begins: float = 0.0
+    head_angle: float = 0.0  #: indicated angle of the head, rad
+    temperature_change: float = 0.0
+    temperature_direction: float = 0.0
+    start_time: float = 0.0
     value: float = 0.0
     u: float = 1.0
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where it is."""
+class Site:
+    """Gravity and latitude of the site, and radius of the machine."""
 
     gravity: float
     latitude: float
     radius: float
 
 
-def rotated(vectors, angle, axis):
-    """Turn row vectors by a right-handed angle about a unit vector (Rodrigues)."""
-    along = np.outer(vectors @ axis, axis)
+def rotate(vectors, angle, axis):
+    """Rotate row vectors by a right-handed angle about a unit vector (Rodrigues)."""
+    parallel = np.outer(vectors @ axis, axis)
     return (
         np.cos(angle) * vectors
         + np.sin(angle) * np.cross(axis, vectors)
-        + (1.0 - np.cos(angle)) * along
+        + (1.0 - np.cos(angle)) * parallel
     )
 
 
-def indicated(own, a_ipo, more, sign=np.sign):
-    """Indicated specific force in g of forces along I, P, O in g.
+def indicate_force(coefficients, a_ipo, changes, sign=np.sign):
+    """Return the indicated specific force in g, from the specific force along I, P, O in g.
 
-    own: coefficient -> value; what is not named is that of a perfect instrument. `more` is what
-    conditions add to K_F, K_I and K_II; `sign` that of a_I.
+    coefficients: Coefficient -> value; other coefficients are those of a perfect instrument.
+    changes: Changes of K_F, K_I and K_II by the conditions.
+    sign: Function that returns the sign of a_I.
     """
     total = 0.0
     components = dict(zip("IPO", a_ipo, strict=True))
     components |= {"J": np.abs(a_ipo[0]), "S": sign(a_ipo[0])}
     for symbol, axes in PRODUCTS.items():
-        size = own.get(symbol, 1.0 if symbol == "K_I" else 0.0) + more.get(symbol, 0.0)
-        if np.all(size == 0.0):
+        coefficient = coefficients.get(symbol, 1.0 if symbol == "K_I" else 0.0) + changes.get(
+            symbol, 0.0
+        )
+        if np.all(coefficient == 0.0):
             continue
-        part = WEIGHTS.get(symbol, 1.0)
+        product = WEIGHTS.get(symbol, 1.0)
         for axis in axes:
-            part = part * components[axis]
-        total = total + size * part
+            product = product * components[axis]
+        total = total + coefficient * product
     return total
 
 
-def conditions(own, warmth, way, begins, force):
+def condition_changes(coefficients, temperature_change, direction, start_time, force):
     """Return the changes of coefficients by temperature, its direction, time and force."""
 
-    def warmed(symbol):
+    def temperature_effect(symbol):
         powers = ((1, ""), (2, ".2"), (3, ".3"))
-        return sum(own.get(f"{symbol}.temperature{end}", 0.0) * warmth**n for n, end in powers)
+        return sum(
+            coefficients.get(f"{symbol}.temperature{end}", 0.0) * temperature_change**n
+            for n, end in powers
+        )
 
     return {
-        "K_F": warmed("K_F")
-        + own.get("K_F.hysteresis", 0.0) * way
-        + own.get("K_F.trend", 0.0) * begins
-        + own.get("K_F.heating", 0.0) * force**2,
-        "K_I": warmed("K_I"),
-        "K_II": own.get("K_II.temperature", 0.0) * warmth,
+        "K_F": temperature_effect("K_F")
+        + coefficients.get("K_F.hysteresis", 0.0) * direction
+        + coefficients.get("K_F.trend", 0.0) * start_time
+        + coefficients.get("K_F.heating", 0.0) * force**2,
+        "K_I": temperature_effect("K_I"),
+        "K_II": coefficients.get("K_II.temperature", 0.0) * temperature_change,
     }
 
 
-def of(x, owner):
+def values_of(x, owner):
     """Return the values of an owner by symbol."""
     return {k[len(owner) + 1 :]: v for k, v in x.items() if k.startswith(owner + ".")}
 
 
-def _path(place, run, x, t):
-    """Position, velocity and acceleration in the level frame at true times t, (..., 3) each."""
-    fast, late = x.get("records.clock", 0.0), x.get("records.timing_offset", 0.0)
-    recorded = (1.0 + fast) * t
-    angle, rate, push = run.angle(recorded - late)
-    turned = of(x, f"{run.name}.spindle")
-    drift = run.rate * turned.get("drift", 0.0)
-    angle = angle + turned.get("start_angle", 0.0) + turned.get("rate", 0.0) * recorded
+def _compute_path(site, run, x, t):
+    """Return position, velocity and acceleration, (..., 3) each, in the level frame at times t."""
+    clock_error, timing_offset = x.get("records.clock", 0.0), x.get("records.timing_offset", 0.0)
+    recorded = (1.0 + clock_error) * t
+    angle, rate, angular_acceleration = run.angle(recorded - timing_offset)
+    spindle_errors = values_of(x, f"{run.name}.spindle")
+    drift = run.rate * spindle_errors.get("drift", 0.0)
+    angle = (
+        angle + spindle_errors.get("start_angle", 0.0) + spindle_errors.get("rate", 0.0) * recorded
+    )
     angle = angle + 0.5 * drift * recorded**2
-    rate, push = rate + turned.get("rate", 0.0) + drift * recorded, push + drift
-    rate, push = rate * (1.0 + fast), push * (1.0 + fast) ** 2
-    # The encoder's error, its slope and its curve by the recorded angle.
-    theta, turn, bend = angle, 1.0, 0.0
+    rate, angular_acceleration = (
+        rate + spindle_errors.get("rate", 0.0) + drift * recorded,
+        angular_acceleration + drift,
+    )
+    rate, angular_acceleration = (
+        rate * (1.0 + clock_error),
+        angular_acceleration * (1.0 + clock_error) ** 2,
+    )
+    # True angle, and its first two derivatives by the recorded angle, from the encoder error.
+    theta, slope_by_angle, curvature_by_angle = angle, 1.0, 0.0
     for n in (1, 2, 3, 4):
         c, s = (x.get(f"encoder.harmonic.{n}.{wave}", 0.0) for wave in ("cos", "sin"))
         theta = theta - c * np.cos(n * angle) - s * np.sin(n * angle)
-        turn = turn + n * (c * np.sin(n * angle) - s * np.cos(n * angle))
-        bend = bend + n**2 * (c * np.cos(n * angle) + s * np.sin(n * angle))
-    w, alpha = rate * turn, push * turn + rate**2 * bend
-    radius = place.radius + x.get("centrifuge.radius", 0.0)
+        slope_by_angle = slope_by_angle + n * (c * np.sin(n * angle) - s * np.cos(n * angle))
+        curvature_by_angle = curvature_by_angle + n**2 * (
+            c * np.cos(n * angle) + s * np.sin(n * angle)
+        )
+    w, alpha = (
+        rate * slope_by_angle,
+        angular_acceleration * slope_by_angle + rate**2 * curvature_by_angle,
+    )
+    radius = site.radius + x.get("centrifuge.radius", 0.0)
     r = radius * (1.0 + x.get("centrifuge.stretch", 0.0) * radius * run.rate**2) + 0.0 * theta
     slope, curve = 0.0 * theta, 0.0 * theta
     for n in (1, 2):
@@ -228,137 +245,165 @@ def _path(place, run, x, t):
         curve = curve - n**2 * (c * np.cos(n * theta) + s * np.sin(n * theta))
     e = np.exp(1j * theta)
     first, second = (slope + 1j * r) * e, (curve + 2j * slope - r) * e
-    about = (x.get(f"centrifuge.axis_tilt.{axis}", 0.0) * radius for axis in ("east", "north"))
-    east, north = about
+    axis_tilts = (x.get(f"centrifuge.axis_tilt.{axis}", 0.0) * radius for axis in ("east", "north"))
+    east, north = axis_tilts
     z = east * np.sin(theta) - north * np.cos(theta)
     dz = east * np.cos(theta) + north * np.sin(theta)
     level = (r * e, first * w, second * w**2 + first * alpha)
     height = (z, dz * w, -z * w**2 + dz * alpha)
     return [
-        np.stack([one.real, one.imag, up], axis=-1) for one, up in zip(level, height, strict=True)
+        np.stack([component.real, component.imag, up], axis=-1)
+        for component, up in zip(level, height, strict=True)
     ]
 
 
-def _panels(times):
-    """Edges of panels from 0 to the last of some times, `_PARTS` between any two of them."""
-    between = (np.linspace(a, b, _PARTS, endpoint=False) for a, b in itertools.pairwise(times))
+def _panel_edges(times):
+    """Return the panel edges from 0 to the last time, `_PANELS_PER_SAMPLE` per interval."""
+    between = (
+        np.linspace(a, b, _PANELS_PER_SAMPLE, endpoint=False) for a, b in itertools.pairwise(times)
+    )
     return np.concatenate([*between, times[-1:]])
 
 
-def _with_sign_changes(edges, along):
-    """Edges of panels and, as further ones, where a force along the input axis changes its sign."""
-    fine = np.unique(np.concatenate([np.linspace(a, b, 9) for a, b in itertools.pairwise(edges)]))
-    sign = np.sign(along(fine))
+def _add_sign_changes(edges, axis_force):
+    """Return panel edges with the sign changes of the force along the input axis added."""
+    fine_grid = np.unique(
+        np.concatenate([np.linspace(a, b, 9) for a, b in itertools.pairwise(edges)])
+    )
+    sign = np.sign(axis_force(fine_grid))
     changes = np.flatnonzero(sign[:-1] * sign[1:] < 0.0)
-    low, high, below = fine[changes], fine[changes + 1], sign[changes]
+    low, high, sign_below = fine_grid[changes], fine_grid[changes + 1], sign[changes]
     for _ in range(50):
         middle = 0.5 * (low + high)
-        before = np.sign(along(middle)) == below
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
+        is_before = np.sign(axis_force(middle)) == sign_below
+        low, high = np.where(is_before, middle, low), np.where(is_before, high, middle)
     edges = np.unique(np.concatenate([edges, low]))
     return edges[np.append(True, np.diff(edges) > 1e-9)]
 
 
-def _attitude(run, x, felt, half, body):
+def _integrate_attitude(run, x, platform_force, half_widths, body):
     """Return the attitude error without compliance at all nodes and panel edges, rad.
 
-    felt: specific force along the platform's axes in g, (panels, nodes, 3).
+    platform_force: specific force along the platform's axes in g, (panels, nodes, 3).
     """
     names = ("east", "north", "up")
-    drift, squared = (
+    drift, g2_sensitivity = (
         np.array([x.get(f"platform.{kind}.{name}", 0.0) for name in names])
         for kind in ("drift", "g2_sensitivity")
     )
-    sensitive = _matrix(x, "g_sensitivity")
-    turning = drift + felt @ sensitive.T + np.sum(felt**2, axis=-1)[..., None] * squared
-    inside = half[:, None, None] * np.einsum("ij,pjk->pik", _UPTO, turning)
-    whole = half[:, None] * np.einsum("j,pjk->pk", _WEIGHTS, turning)
-    edges = np.concatenate([np.zeros((1, 3)), np.cumsum(whole, axis=0)])
+    g_sensitivity = _platform_matrix(x, "g_sensitivity")
+    drift_rate = (
+        drift
+        + platform_force @ g_sensitivity.T
+        + np.sum(platform_force**2, axis=-1)[..., None] * g2_sensitivity
+    )
+    node_integrals = half_widths[:, None, None] * np.einsum(
+        "ij,pjk->pik", _CUMULATIVE_WEIGHTS, drift_rate
+    )
+    panel_integrals = half_widths[:, None] * np.einsum("j,pjk->pk", _WEIGHTS, drift_rate)
+    edges = np.concatenate([np.zeros((1, 3)), np.cumsum(panel_integrals, axis=0)])
     tilt = np.array([x.get(f"{run.name}.platform.tilt.{name}", 0.0) for name in names])
-    return tilt + (edges[:-1, None] + inside) @ body, tilt + edges @ body
+    return tilt + (edges[:-1, None] + node_integrals) @ body, tilt + edges @ body
 
 
-def _matrix(x, kind):
-    return np.array([[x.get(f"platform.{kind}.{i}{j}", 0.0) for j in "xyz"] for i in "xyz"])
+def _platform_matrix(x, family):
+    return np.array([[x.get(f"platform.{family}.{i}{j}", 0.0) for j in "xyz"] for i in "xyz"])
 
 
-def record(place, run, instrument, x):
+def simulate_record(site, run, instrument, x):
     """Return the noise-free record of an instrument at the times of a run.
 
-    x: name of everything that may be off -> by how much (K_I: its value). Tilts are about east,
-    north and up, all else of the platform about its own axes, which the run's turn has turned.
+    x: Name of an error -> its size (K_I: its value). Tilts are about east, north and up; other
+    platform errors are about the axes of the turned platform.
     """
-    g = place.gravity + x.get("site.gravity", 0.0)
-    latitude = place.latitude + x.get("site.latitude", 0.0)
+    g = site.gravity + x.get("site.gravity", 0.0)
+    latitude = site.latitude + x.get("site.latitude", 0.0)
     earth = EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])
-    true = run.times / (1.0 + x.get("records.clock", 0.0))
-    angle, about = run.turn
-    body = rotated(np.eye(3), angle, np.array(AXES[about]))
+    true_times = run.times / (1.0 + x.get("records.clock", 0.0))
+    angle, axis = run.turn
+    body = rotate(np.eye(3), angle, np.array(AXES[axis]))
     axes = instrument.axes() @ body
-    own, soft = of(x, instrument.name), _matrix(x, "compliance")
-    lever = place.radius * run.rate**2 / place.gravity
+    coefficients, compliance = values_of(x, instrument.name), _platform_matrix(x, "compliance")
+    centripetal_force = site.radius * run.rate**2 / site.gravity
 
     def force_at(t):
-        _, velocity, acceleration = _path(place, run, x, t)
+        _, velocity, acceleration = _compute_path(site, run, x, t)
         return acceleration + 2.0 * np.cross(earth, velocity) + g * np.array([0.0, 0.0, 1.0])
 
-    def indication(force, psi, t):
+    def indicated_force(force, psi, t):
         """Return the force along the input axis, g, of a platform with error psi and compliance."""
-        psi = psi + (force @ body.T / g) @ soft.T @ body
+        psi = psi + (force @ body.T / g) @ compliance.T @ body
         sensed = np.moveaxis((force - np.cross(psi, force)) @ axes.T, -1, 0) / g
-        return indicated(own, sensed, conditions(own, run.warmth, run.way, run.begins + t, lever))
+        return indicate_force(
+            coefficients,
+            sensed,
+            condition_changes(
+                coefficients,
+                run.temperature_change,
+                run.temperature_direction,
+                run.start_time + t,
+                centripetal_force,
+            ),
+        )
 
-    edges = _panels(true)
-    if own.get("K_0_asym"):
-        edges = _with_sign_changes(edges, lambda t: force_at(t) @ axes[0])
-    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
-    t = middle[:, None] + half[:, None] * _NODES
+    edges = _panel_edges(true_times)
+    if coefficients.get("K_0_asym"):
+        edges = _add_sign_changes(edges, lambda t: force_at(t) @ axes[0])
+    middle, half_widths = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+    t = middle[:, None] + half_widths[:, None] * _NODES
     force = force_at(t)
-    psi, psi_at_edges = _attitude(run, x, force @ body.T / g, half, body)
-    at = np.searchsorted(edges, true - 1e-8)
+    psi, psi_at_edges = _integrate_attitude(run, x, force @ body.T / g, half_widths, body)
+    indices = np.searchsorted(edges, true_times - 1e-8)
     if instrument.observable == "force":
-        return instrument.per_g * indication(force_at(true), psi_at_edges[at], true)
-    # What the instrument adds to the force that acts, integrated panel by panel.
-    error = g * indication(force, psi, t) - force @ axes[0]
-    once = np.append(0.0, np.cumsum(half * (error @ _WEIGHTS)))
-    inner = half[:, None] * (error @ _UPTO.T)
-    twice = np.append(0.0, np.cumsum(half * (inner @ _WEIGHTS) + 2.0 * half * once[:-1]))
-    where, velocity, _ = _path(place, run, x, true)
+        return instrument.per_g * indicated_force(
+            force_at(true_times), psi_at_edges[indices], true_times
+        )
+    # Integrate the error of the indicated force panel by panel.
+    force_error = g * indicated_force(force, psi, t) - force @ axes[0]
+    velocity_error = np.append(0.0, np.cumsum(half_widths * (force_error @ _WEIGHTS)))
+    node_integrals = half_widths[:, None] * (force_error @ _CUMULATIVE_WEIGHTS.T)
+    position_error = np.append(
+        0.0,
+        np.cumsum(
+            half_widths * (node_integrals @ _WEIGHTS) + 2.0 * half_widths * velocity_error[:-1]
+        ),
+    )
+    position, velocity, _ = _compute_path(site, run, x, true_times)
     if instrument.observable == "velocity":
-        return velocity @ axes[0] + once[at]
-    return where @ axes[0] + twice[at]
+        return velocity @ axes[0] + velocity_error[indices]
+    return position @ axes[0] + position_error[indices]
 
 
-def reading(place, one, name, x):
+def simulate_reading(site, reading, name, x):
     """Return the indication at rest or the mean over a revolution on the arm, g."""
-    g = place.gravity + x.get("site.gravity", 0.0)
-    latitude = place.latitude + x.get("site.latitude", 0.0)
+    g = site.gravity + x.get("site.gravity", 0.0)
+    latitude = site.latitude + x.get("site.latitude", 0.0)
     tilts = [x.get(f"centrifuge.axis_tilt.{axis}", 0.0) for axis in ("east", "north")]
     theta = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    turn = np.zeros(3)
-    if one.motion == "static":
+    rotation = np.zeros(3)
+    if reading.motion == "static":
         force = np.array([[0.0, 0.0, g]])
-        turn = turn + x.get("head.zero", 0.0) * np.array(one.head)
-        turn = turn + x.get("head of " + one.name, 0.0) * np.array(one.head)
+        rotation = rotation + x.get("head.zero", 0.0) * np.array(reading.head)
+        rotation = rotation + x.get("head of " + reading.name, 0.0) * np.array(reading.head)
         for n in (1, 2, 3, 4):
             for quadrature, wave in (("cos", np.cos), ("sin", np.sin)):
                 size = x.get(f"head.harmonic.{n}.{quadrature}", 0.0)
-                turn = turn + size * wave(n * one.head_angle) * np.array(one.head)
+                rotation = rotation + size * wave(n * reading.head_angle) * np.array(reading.head)
         names = ("east", "north", "up")
-        lever = 0.0
+        centripetal_force = 0.0
     else:
         # The radius of a mounting, if known, replaces that of the machine and of the proof mass.
         common = x.get("centrifuge.radius", 0.0)
-        common += x.get(f"centrifuge.radius.{name}.{one.mounting}", 0.0)
-        radius = place.radius + x.get(f"centrifuge.radius.{one.mounting}", common)
+        common += x.get(f"centrifuge.radius.{name}.{reading.mounting}", 0.0)
+        radius = site.radius + x.get(f"centrifuge.radius.{reading.mounting}", common)
         # The clock of the rate counter is common to all readings.
-        fast = x.get("centrifuge.clock", 0.0) + x.get("rate of " + one.name, 0.0)
-        w = one.rate * (1.0 + fast)
+        rate_error = x.get("centrifuge.clock", 0.0) + x.get("rate of " + reading.name, 0.0)
+        w = reading.rate * (1.0 + rate_error)
         radius = radius * (1.0 + x.get("centrifuge.stretch", 0.0) * radius * w**2)
-        # What stands upright on the Earth, in the machine's frame, whose axis leans.
+        # Gravity and Earth rate in the tilted frame of the machine.
         size = np.hypot(*tilts)
-        lean = np.array([*tilts, 0.0]) / size if size else np.array([1.0, 0.0, 0.0])
-        up, earth = rotated(
+        tilt_axis = np.array([*tilts, 0.0]) / size if size else np.array([1.0, 0.0, 0.0])
+        up, earth = rotate(
             np.array(
                 [
                     [0.0, 0.0, g],
@@ -366,31 +411,43 @@ def reading(place, one, name, x):
                 ]
             ),
             -size,
-            lean,
+            tilt_axis,
         )
-        out = np.stack([np.cos(theta), np.sin(theta), 0.0 * theta], axis=-1)
-        along = np.stack([-np.sin(theta), np.cos(theta), 0.0 * theta], axis=-1)
-        inertial = -radius * w**2 * out + 2.0 * np.cross(earth, radius * w * along) + up
+        outward = np.stack([np.cos(theta), np.sin(theta), 0.0 * theta], axis=-1)
+        forward = np.stack([-np.sin(theta), np.cos(theta), 0.0 * theta], axis=-1)
+        inertial = -radius * w**2 * outward + 2.0 * np.cross(earth, radius * w * forward) + up
         force = np.stack(
-            [np.sum(inertial * out, axis=1), np.sum(inertial * along, axis=1), inertial[:, 2]],
+            [
+                np.sum(inertial * outward, axis=1),
+                np.sum(inertial * forward, axis=1),
+                inertial[:, 2],
+            ],
             axis=-1,
         )
-        turn[1] += x.get("centrifuge.droop", 0.0) * w**2
+        rotation[1] += x.get("centrifuge.droop", 0.0) * w**2
         names = ("outward", "forward", "up")
-        lever = place.radius * w**2 / place.gravity
-    turn = turn + [
-        x.get(f"fixture.misalignment.{one.mounting}.{axis}", 0.0) if one.mounting else 0.0
+        centripetal_force = site.radius * w**2 / site.gravity
+    rotation = rotation + [
+        x.get(f"fixture.misalignment.{reading.mounting}.{axis}", 0.0) if reading.mounting else 0.0
         for axis in names
     ]
-    size = np.linalg.norm(turn)
-    axes = rotated(one.axes, size, turn / size) if size else one.axes
-    own = of(x, name)
+    size = np.linalg.norm(rotation)
+    axes = rotate(reading.axes, size, rotation / size) if size else reading.axes
+    coefficients = values_of(x, name)
     a_ipo = axes @ force.T / g
-    more = conditions(own, one.warmth, one.way, one.begins, lever)
-    # On the arm the instrument rotates about the machine's axis.
-    spins = one.rate**2 * axes[0, 2] * axes[1, 2] if one.motion == "arm" else 0.0
-    mean = np.mean(indicated(own, a_ipo, more, lambda a: np.clip(a / SIGN_WIDTH, -1.0, 1.0)))
-    return mean + own.get("K_spin", 0.0) * spins
+    changes = condition_changes(
+        coefficients,
+        reading.temperature_change,
+        reading.temperature_direction,
+        reading.start_time,
+        centripetal_force,
+    )
+    # On the arm, the instrument rotates about the axis of the machine.
+    spin_product = reading.rate**2 * axes[0, 2] * axes[1, 2] if reading.motion == "arm" else 0.0
+    mean = np.mean(
+        indicate_force(coefficients, a_ipo, changes, lambda a: np.clip(a / SIGN_WIDTH, -1.0, 1.0))
+    )
+    return mean + coefficients.get("K_spin", 0.0) * spin_product
 
 
 # Least squares.
@@ -398,143 +455,155 @@ def reading(place, one, name, x):
 
 @dataclass(frozen=True)
 class Unknown:
-    """Describe an unknown; `sd` is infinite without prior."""
+    """An unknown with its prior; `sd` is infinite without a prior."""
 
     name: str
     mean: float
     sd: float = np.inf
-    kind: str = "asked"  #: or stated, unstated, held
-    step: float = 0.0  #: of the difference; by default `sd`
+    kind: str = "requested"  #: or stated, unstated, held
+    step: float = 0.0  #: of the central difference; 0: `sd`
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Data with their covariance, the model of them, and polynomials of time that are free."""
+    """Data with their model, noise covariance, and columns of free start errors."""
 
-    model: object  #: values of everything -> what it says, (n,)
+    model: object  #: values of all unknowns -> model values, (n,)
     values: np.ndarray
-    covariance: object  #: (n, n), or values of everything -> that
-    free: np.ndarray  #: (n, k)
+    covariance: object  #: (n, n), or a function of the values of all unknowns
+    free_columns: np.ndarray  #: (n, k)
 
-    def noise(self, at):
-        return self.covariance(at) if callable(self.covariance) else self.covariance
+    def noise(self, values):
+        return self.covariance(values) if callable(self.covariance) else self.covariance
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Contain the result of a fit."""
+    """Result of a fit."""
 
-    unknowns: list  #: That were adjusted.
+    unknowns: list  #: Estimated unknowns.
     estimate: np.ndarray
-    of_noise: np.ndarray  #: covariance
-    priors: dict  #: Name of what is known beforehand -> what its u moves each estimate by.
-    kinds: dict  #: The same -> stated or unstated.
-    rows: list  #: Of each group: residuals and leverages in rows of unit variance.
+    covariance_noise: np.ndarray  #: covariance
+    prior_effects: dict  #: Unknown with a prior -> effect of its u on each estimate.
+    prior_kinds: dict  #: Unknown with a prior -> "stated" or "default".
+    rows: list  #: Whitened residuals and leverages of each group.
 
     @property
     def names(self):
         return [u.name for u in self.unknowns]
 
-    def of_kind(self, kind):
+    def covariance_of_kind(self, kind):
         """Return the covariance from stated or default priors."""
-        moved = [move for name, move in self.priors.items() if self.kinds[name] == kind]
-        return sum((np.outer(m, m) for m in moved), np.zeros_like(self.of_noise))
+        effects = [
+            effect for name, effect in self.prior_effects.items() if self.prior_kinds[name] == kind
+        ]
+        return sum((np.outer(m, m) for m in effects), np.zeros_like(self.covariance_noise))
 
     @property
     def covariance(self):
         """Return the total covariance."""
-        return self.of_noise + self.of_kind("stated") + self.of_kind("unstated")
+        return (
+            self.covariance_noise
+            + self.covariance_of_kind("stated")
+            + self.covariance_of_kind("default")
+        )
 
-    def line(self, name):
+    def summary(self, name):
         """Return value, u and the contributions of noise, stated and default priors."""
         k = self.names.index(name)
-        parts = (self.of_noise, self.of_kind("stated"), self.of_kind("unstated"))
+        components = (
+            self.covariance_noise,
+            self.covariance_of_kind("stated"),
+            self.covariance_of_kind("default"),
+        )
         return [
-            float(v) for v in (self.estimate[k], *np.sqrt([p[k, k] for p in (sum(parts), *parts)]))
+            float(v)
+            for v in (self.estimate[k], *np.sqrt([p[k, k] for p in (sum(components), *components)]))
         ]
 
     def correlation(self, names):
-        """Of some of them."""
-        places = [self.names.index(name) for name in names]
-        some = self.covariance[np.ix_(places, places)]
-        u = np.sqrt(np.diag(some))
-        return some / np.outer(u, u)
+        """Return the correlation matrix of some unknowns."""
+        indices = [self.names.index(name) for name in names]
+        covariance = self.covariance[np.ix_(indices, indices)]
+        u = np.sqrt(np.diag(covariance))
+        return covariance / np.outer(u, u)
 
     def misfit(self, groups):
         """Return chi-square and degrees of freedom of the rows of some groups."""
-        chosen = [self.rows[k] for k in groups]
+        groups_rows = [self.rows[k] for k in groups]
         return [
-            sum(float(left @ left) for left, _ in chosen),
-            sum(left.size - float(followed.sum()) for left, followed in chosen),
+            sum(float(residuals @ residuals) for residuals, _ in groups_rows),
+            sum(residuals.size - float(leverages.sum()) for residuals, leverages in groups_rows),
         ]
 
 
-def walk(times, density, integrations):
-    """Covariance of white noise of a density N^2 that is integrated once or twice from 0."""
+def walk_covariance(times, density, integrations):
+    """Return the covariance of white noise of density N^2, integrated once or twice from 0."""
     low, high = np.minimum.outer(times, times), np.maximum.outer(times, times)
     if integrations == 1:
         return density * low
     return density * low**2 * (high / 2.0 - low / 6.0)
 
 
-def derivatives(rows, unknowns, at):
-    """Central differences of the model, (n, p)."""
+def differentiate_model(rows, unknowns, values):
+    """Return the central differences of the model, (n, p)."""
     columns = []
     for unknown in unknowns:
         step = unknown.step or (unknown.sd if np.isfinite(unknown.sd) else 1e-4)
-        more, less = (
-            rows.model({**at, unknown.name: at[unknown.name] + sign * step}) for sign in (1, -1)
+        upper, lower = (
+            rows.model({**values, unknown.name: values[unknown.name] + sign * step})
+            for sign in (1, -1)
         )
-        columns.append((more - less) / (2.0 * step))
+        columns.append((upper - lower) / (2.0 * step))
     return np.column_stack(columns)
 
 
-def _whitened(groups, adjusted, held, at):
+def _whiten_rows(groups, estimated, considered, values):
     """Return whitened rows [estimated | start errors by group | considered | residual]."""
-    p, free = len(adjusted), sum(rows.free.shape[1] for rows in groups)
-    parts, offset = [], p
+    n_estimated, n_free = len(estimated), sum(rows.free_columns.shape[1] for rows in groups)
+    blocks, offset = [], n_estimated
     for rows in groups:
-        part = np.zeros((rows.values.size, p + free + len(held) + 1))
-        part[:, :p] = derivatives(rows, adjusted, at)
-        part[:, offset : offset + rows.free.shape[1]] = rows.free
-        if held:
-            part[:, p + free : -1] = derivatives(rows, held, at)
-        part[:, -1] = rows.values - rows.model(at)
-        offset += rows.free.shape[1]
-        parts.append(np.linalg.solve(np.linalg.cholesky(rows.noise(at)), part))
-    return np.vstack(parts), p + free
+        block = np.zeros((rows.values.size, n_estimated + n_free + len(considered) + 1))
+        block[:, :n_estimated] = differentiate_model(rows, estimated, values)
+        block[:, offset : offset + rows.free_columns.shape[1]] = rows.free_columns
+        if considered:
+            block[:, n_estimated + n_free : -1] = differentiate_model(rows, considered, values)
+        block[:, -1] = rows.values - rows.model(values)
+        offset += rows.free_columns.shape[1]
+        blocks.append(np.linalg.solve(np.linalg.cholesky(rows.noise(values)), block))
+    return np.vstack(blocks), n_estimated + n_free
 
 
-def fit(groups, unknowns, rounds=3):
-    """Fit all rows at once."""
-    adjusted = [u for u in unknowns if u.kind != "held"]
-    held = [u for u in unknowns if u.kind == "held"]
-    known = [j for j, u in enumerate(adjusted) if np.isfinite(u.sd)]
-    at, p = {u.name: u.mean for u in unknowns}, len(adjusted)
-    for _ in range(rounds):
-        whole, width = _whitened(groups, adjusted, held, at)
+def fit(groups, unknowns, n_iterations=3):
+    """Fit all rows at once by Gauss-Newton iterations."""
+    estimated = [u for u in unknowns if u.kind != "considered"]
+    considered = [u for u in unknowns if u.kind == "considered"]
+    with_prior = [j for j, u in enumerate(estimated) if np.isfinite(u.sd)]
+    values, p = {u.name: u.mean for u in unknowns}, len(estimated)
+    for _ in range(n_iterations):
+        whole, width = _whiten_rows(groups, estimated, considered, values)
         n = len(whole)
-        below = np.zeros((len(known), whole.shape[1]))
-        for row, j in enumerate(known):
-            below[row, j] = 1.0 / adjusted[j].sd
-            below[row, -1] = (adjusted[j].mean - at[adjusted[j].name]) / adjusted[j].sd
-        whole = np.vstack([whole, below])
+        prior_rows = np.zeros((len(with_prior), whole.shape[1]))
+        for row, j in enumerate(with_prior):
+            prior_rows[row, j] = 1.0 / estimated[j].sd
+            prior_rows[row, -1] = (estimated[j].mean - values[estimated[j].name]) / estimated[j].sd
+        whole = np.vstack([whole, prior_rows])
         scale = np.linalg.norm(whole[:, :width], axis=0)
         q, r = np.linalg.qr(whole[:, :width] / scale)
         inverse = np.linalg.solve(r, q.T) / scale[:, None]  # takes rows to the solution
         change = inverse @ whole[:, -1]
-        for j, unknown in enumerate(adjusted):
-            at[unknown.name] += change[j]
+        for j, unknown in enumerate(estimated):
+            values[unknown.name] += change[j]
     gain = inverse[:p]
-    moved = {adjusted[j].name: gain[:, n + row] for row, j in enumerate(known)}
-    moved |= {u.name: -gain @ whole[:, width + k] * u.sd for k, u in enumerate(held)}
-    left, followed = whole[:n, -1] - whole[:n, :width] @ change, np.sum(q[:n] ** 2, axis=1)
-    ends = np.cumsum([rows.values.size for rows in groups])[:-1]
+    effects = {estimated[j].name: gain[:, n + row] for row, j in enumerate(with_prior)}
+    effects |= {u.name: -gain @ whole[:, width + k] * u.sd for k, u in enumerate(considered)}
+    residuals, leverages = whole[:n, -1] - whole[:n, :width] @ change, np.sum(q[:n] ** 2, axis=1)
+    group_ends = np.cumsum([rows.values.size for rows in groups])[:-1]
     return Fit(
-        adjusted,
-        np.array([at[u.name] for u in adjusted]),
+        estimated,
+        np.array([values[u.name] for u in estimated]),
         gain[:, :n] @ gain[:, :n].T,
-        moved,
-        {u.name: "unstated" if u.kind == "unstated" else "stated" for u in (*adjusted, *held)},
-        list(zip(np.split(left, ends), np.split(followed, ends), strict=True)),
+        effects,
+        {u.name: "default" if u.kind == "default" else "stated" for u in (*estimated, *considered)},
+        list(zip(np.split(residuals, group_ends), np.split(leverages, group_ends), strict=True)),
     )

@@ -1,76 +1,88 @@
 """Restricted likelihood of white noise and a walk with dense covariances, for make_fits.py.
 
-Nothing here uses counterspin. With V = w I + N^2 W of all rows, X their columns and y what is left:
+Nothing here uses counterspin. With V = w I + N^2 W of all rows, design matrix X and residuals y:
 
     2 log L = -log|V| - log|X' V^-1 X| - (y - X b)' V^-1 (y - X b)
 
-(Patterson and Thompson, Biometrika 58 (1971) 545). What is known beforehand are further rows.
+(Patterson and Thompson, Biometrika 58 (1971) 545). Priors are additional rows.
 """
 
 import math
 
 import numpy as np
-from dense_fit import derivatives, walk
+from dense_fit import differentiate_model, walk_covariance
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 class Likelihood:
-    """Of records of one accelerometer, whose noise has the same levels in all of them."""
+    """Restricted likelihood of the records of one accelerometer, with common noise levels."""
 
     def __init__(self, groups, times, integrations, unknowns):
-        at = {u.name: u.mean for u in unknowns}
-        free = sum(rows.free.shape[1] for rows in groups)
-        size, p = sum(t.size for t in times), len(unknowns)
-        known = [j for j, u in enumerate(unknowns) if np.isfinite(u.sd)]
-        every = size + len(known)
-        self.design, self.left = np.zeros((every, p + free)), np.zeros(every)
-        self.white, self.walk = np.zeros((2, every, every))
-        self.fixed = np.zeros(every)
+        values = {u.name: u.mean for u in unknowns}
+        n_free = sum(rows.free_columns.shape[1] for rows in groups)
+        n_rows, p = sum(t.size for t in times), len(unknowns)
+        with_prior = [j for j, u in enumerate(unknowns) if np.isfinite(u.sd)]
+        n_all_rows = n_rows + len(with_prior)
+        self.design, self.residuals = np.zeros((n_all_rows, p + n_free)), np.zeros(n_all_rows)
+        self.white_covariance, self.walk_covariance = np.zeros((2, n_all_rows, n_all_rows))
+        self.prior_variances = np.zeros(n_all_rows)
         row, column = 0, p
         for rows, t in zip(groups, times, strict=True):
-            here = slice(row, row + t.size)
-            self.design[here, :p] = derivatives(rows, unknowns, at)
-            self.design[here, column : column + rows.free.shape[1]] = rows.free
-            self.left[here] = rows.values - rows.model(at)
-            self.white[here, here] = np.eye(t.size)
-            self.walk[here, here] = walk(t, 1.0, integrations)
-            row, column = row + t.size, column + rows.free.shape[1]
-        for k, j in enumerate(known):
-            self.design[size + k, j] = 1.0
-            self.fixed[size + k] = unknowns[j].sd ** 2
+            record_rows = slice(row, row + t.size)
+            self.design[record_rows, :p] = differentiate_model(rows, unknowns, values)
+            self.design[record_rows, column : column + rows.free_columns.shape[1]] = (
+                rows.free_columns
+            )
+            self.residuals[record_rows] = rows.values - rows.model(values)
+            self.white_covariance[record_rows, record_rows] = np.eye(t.size)
+            self.walk_covariance[record_rows, record_rows] = walk_covariance(t, 1.0, integrations)
+            row, column = row + t.size, column + rows.free_columns.shape[1]
+        for k, j in enumerate(with_prior):
+            self.design[n_rows + k, j] = 1.0
+            self.prior_variances[n_rows + k] = unknowns[j].sd ** 2
         self.design /= np.linalg.norm(self.design, axis=0)
 
-    def value(self, white, density=0.0):
+    def log_likelihood(self, white, density=0.0):
         """Return the log-likelihood up to a constant at two variances."""
-        root = np.linalg.cholesky(np.diag(self.fixed) + white * self.white + density * self.walk)
-        rows = np.linalg.solve(root, np.column_stack([self.design, self.left]))
+        root = np.linalg.cholesky(
+            np.diag(self.prior_variances)
+            + white * self.white_covariance
+            + density * self.walk_covariance
+        )
+        rows = np.linalg.solve(root, np.column_stack([self.design, self.residuals]))
         triangle = np.linalg.qr(rows, mode="r")
         half = np.log(np.abs(np.diag(root))).sum() + np.log(np.abs(np.diag(triangle)[:-1])).sum()
         return -half - 0.5 * triangle[-1, -1] ** 2
 
-    def best_white(self, density, start):
+    def fit_white(self, density, start):
         """Return the most likely white variance for a given walk."""
         return math.exp(
-            largest(lambda x: self.value(math.exp(x), density), math.log(start), 3.0, 1e-4)
+            maximise(
+                lambda x: self.log_likelihood(math.exp(x), density), math.log(start), 3.0, 1e-4
+            )
         )
 
-    def best(self, white, density):
+    def fit(self, white, density):
         """Return the most likely variances about a start."""
 
-        def beside(x):
-            return self.value(self.best_white(math.exp(x), white), math.exp(x))
+        def profile(x):
+            return self.log_likelihood(self.fit_white(math.exp(x), white), math.exp(x))
 
-        density = math.exp(largest(beside, math.log(density), 4.0, 1e-4))
-        return np.array([self.best_white(density, white), density])
+        density = math.exp(maximise(profile, math.log(density), 4.0, 1e-4))
+        return np.array([self.fit_white(density, white), density])
 
-    def spread(self, levels, step=1e-2):
-        """Covariance of the logarithms of the levels: the inverse of the observed information."""
+    def log_covariance(self, levels, step=1e-2):
+        """Return the covariance of the logarithms of the levels: inverse observed information."""
         m = levels.size
 
         def curvature(i, j):
             corners = (
-                a * b * self.value(*(levels * np.exp(step * (a * np.eye(m)[i] + b * np.eye(m)[j]))))
+                a
+                * b
+                * self.log_likelihood(
+                    *(levels * np.exp(step * (a * np.eye(m)[i] + b * np.eye(m)[j])))
+                )
                 for a in (1, -1)
                 for b in (1, -1)
             )
@@ -79,24 +91,24 @@ class Likelihood:
         return np.linalg.inv([[-curvature(i, j) for j in range(m)] for i in range(m)])
 
 
-def largest(function, start, reach, close):
+def maximise(function, start, half_width, tolerance):
     """Return the maximum of a unimodal function by golden-section search about a start."""
-    low, high = start - reach, start + reach
+    low, high = start - half_width, start + half_width
     first, second = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    one, two = function(first), function(second)
-    while high - low > close:
-        if one > two:
-            high, second, two = second, first, one
+    first_value, second_value = function(first), function(second)
+    while high - low > tolerance:
+        if first_value > second_value:
+            high, second, second_value = second, first, first_value
             first = high - GOLDEN * (high - low)
-            one = function(first)
+            first_value = function(first)
         else:
-            low, first, one = first, second, two
+            low, first, first_value = first, second, second_value
             second = low + GOLDEN * (high - low)
-            two = function(second)
+            second_value = function(second)
     return 0.5 * (low + high)
 
 
-def crossing(function, value, low, high):
+def find_crossing(function, value, low, high):
     """Return the argument at which an increasing function has a value, by bisection."""
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -104,13 +116,13 @@ def crossing(function, value, low, high):
     return 0.5 * (low + high)
 
 
-def normal(x):
-    """The normal distribution."""
+def normal_cdf(x):
+    """Return the standard normal distribution function."""
     return 0.5 * math.erfc(-x / math.sqrt(2.0))
 
 
-def student(dof, x):
-    """Student's distribution for x >= 0, by Simpson's rule on its density."""
+def student_cdf(dof, x):
+    """Return Student's distribution function for x >= 0, by Simpson's rule."""
     t = np.linspace(0.0, x, 4001)
     density = np.exp(-(dof + 1.0) / 2.0 * np.log1p(t**2 / dof))
     size = math.lgamma((dof + 1.0) / 2.0) - math.lgamma(dof / 2.0)
@@ -121,49 +133,55 @@ def student(dof, x):
 
 
 def student_quantile(dof, level):
-    return crossing(lambda x: student(dof, x), level, 0.0, 200.0)
+    return find_crossing(lambda x: student_cdf(dof, x), level, 0.0, 200.0)
 
 
-def _dof_where(falling, value):
-    """Return where a function that falls with the degrees of freedom has a value."""
-    return math.exp(-crossing(lambda x: falling(math.exp(-x)), value, -12.0, 0.0))
+def _find_dof(function, value):
+    """Return the degrees of freedom at which a decreasing function has a value."""
+    return math.exp(-find_crossing(lambda x: function(math.exp(-x)), value, -12.0, 0.0))
 
 
-def hidden(likelihood, white, variance, slope):
+def estimate_hidden_walk(likelihood, white, variance, slope):
     """Return N^2 and degrees of freedom with an undetected walk (docs/methods.md, Noise).
 
-    N^2 is spread as its likelihood times (N^2)^(-2/3) dN^2; for each N^2 a coefficient is normal
-    with variance + slope N^2. Of the coefficient that feels it most the quantiles of one u and of
-    95 % are those of Student's distribution with its u; the others have its level, and the degrees
-    of freedom that make their 95 % right.
+    The distribution of N^2 is its likelihood times (N^2)^(-2/3) dN^2. Given N^2, a coefficient is
+    normal with variance + slope N^2. The level and degrees of freedom of the most affected
+    coefficient match its quantiles at one u and 95 %. The other coefficients have the same level,
+    and degrees of freedom that match their 95 % quantiles.
     """
-    logs, values = math.log(white) + np.arange(-32.0, 10.0, 0.2), []
-    for x in logs:
-        values.append(likelihood.value(likelihood.best_white(math.exp(x), white), math.exp(x)))
+    log_levels, values = math.log(white) + np.arange(-32.0, 10.0, 0.2), []
+    for x in log_levels:
+        values.append(
+            likelihood.log_likelihood(likelihood.fit_white(math.exp(x), white), math.exp(x))
+        )
         if values[-1] < max(values) - 14.0:
             break
-    levels = np.exp(logs[: len(values)])
+    levels = np.exp(log_levels[: len(values)])
     weights = np.exp(np.array(values) - max(values)) * levels ** (1.0 / 3.0)
     weights /= weights.sum()
 
     def quantile(k, level):
-        spread = np.sqrt(variance[k] + slope[k] * levels)
+        sds = np.sqrt(variance[k] + slope[k] * levels)
 
-        def below(x):
-            return sum(w * normal(x / s) for w, s in zip(weights, spread, strict=True))
+        def mixture_cdf(x):
+            return sum(w * normal_cdf(x / s) for w, s in zip(weights, sds, strict=True))
 
-        return crossing(below, level, 0.0, 50.0 * spread[-1])
+        return find_crossing(mixture_cdf, level, 0.0, 50.0 * sds[-1])
 
-    one_u, most = normal(1.0), int(np.argmax(slope / variance))
-    narrow, wide = quantile(most, one_u), quantile(most, 0.975)
-    dof = _dof_where(
-        lambda d: student_quantile(d, 0.975) / student_quantile(d, one_u), wide / narrow
+    one_u_level, most_affected = normal_cdf(1.0), int(np.argmax(slope / variance))
+    u_quantile, interval_quantile = (
+        quantile(most_affected, one_u_level),
+        quantile(most_affected, 0.975),
     )
-    u = narrow / student_quantile(dof, one_u)
-    level = (u**2 - variance[most]) / slope[most]
+    dof = _find_dof(
+        lambda d: student_quantile(d, 0.975) / student_quantile(d, one_u_level),
+        interval_quantile / u_quantile,
+    )
+    u = u_quantile / student_quantile(dof, one_u_level)
+    level = (u**2 - variance[most_affected]) / slope[most_affected]
     spread = np.sqrt(variance + level * slope)
     dofs = [
-        _dof_where(lambda d: student_quantile(d, 0.975), quantile(k, 0.975) / spread[k])
+        _find_dof(lambda d: student_quantile(d, 0.975), quantile(k, 0.975) / spread[k])
         for k in range(variance.size)
     ]
     return level, np.array(dofs)
