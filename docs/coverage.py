@@ -22,7 +22,14 @@ from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.terms import TERMS
 from counterspin.simulation.simulate import simulate
-from kept_table import DOCS, KeptTable, describe_channel, describe_runs, describe_site, format_table
+from stored_table import (
+    DOCS,
+    StoredTable,
+    describe_channel,
+    describe_runs,
+    describe_site,
+    format_table,
+)
 
 #: Trials of a case: default, for slow cases, and for estimated displacement noise or a hidden
 #: random walk.
@@ -53,20 +60,20 @@ class Case:
 
     method: str
     observable: str
-    words: str
-    true: dict[str, str]
-    stated: dict[str, str]
+    label: str
+    true_noise: dict[str, str]
+    stated_noise: dict[str, str]
 
     @property
     def trials(self) -> int:
         """Number of trials for the table."""
-        if "time-stamp jitter" in self.words:
+        if "time-stamp jitter" in self.label:
             return JITTER_TRIALS
-        if self.words == HIDDEN_NOISE_CASES[1]:
+        if self.label == HIDDEN_NOISE_CASES[1]:
             return ESTIMATED_NOISE_TRIALS
         if self.method == "two-stage":
             return SLOW_CASE_TRIALS
-        if not self.words.endswith(", not stated"):
+        if not self.label.endswith(", not stated"):
             return TRIALS
         return ESTIMATED_NOISE_TRIALS if self.observable == "displacement" else SLOW_CASE_TRIALS
 
@@ -79,7 +86,7 @@ class Case:
 [accelerometers.Qy]
 {describe_channel(self.observable, "north")}
 [noise]
-{_format_lines(self.stated)}
+{_format_lines(self.stated_noise)}
 [model]
 terms = [{", ".join(f'"{symbol}"' for symbol in symbols)}]
 assume = "all"
@@ -101,7 +108,7 @@ K_I = "0.999 g/g"
 K_II = "-3e-5 g/g^2"
 
 [truth.noise]
-{_format_lines(self.true)}
+{_format_lines(self.true_noise)}
 angle = "1e-6 rad"
 """
 
@@ -110,23 +117,27 @@ def _format_lines(table: dict[str, str]) -> str:
     return "\n".join(f'{key} = "{value}"' for key, value in table.items())
 
 
-_WHITE: Final = {"displacement": "0.01 m", "velocity": "1e-3 m/s", "specific_force": "1e-3 m/s^2"}
-_WALK: Final = {"acceleration": "3e-5 g/Hz^0.5"}
-_NO_WALK: Final = {"acceleration": "0 g/Hz^0.5"}
+_WHITE_NOISE: Final = {
+    "displacement": "0.01 m",
+    "velocity": "1e-3 m/s",
+    "specific_force": "1e-3 m/s^2",
+}
+_RANDOM_WALK: Final = {"acceleration": "3e-5 g/Hz^0.5"}
+_NO_RANDOM_WALK: Final = {"acceleration": "0 g/Hz^0.5"}
 
 #: A random walk that is detected in half of the trials.
-_WEAK_WALK: Final = {"displacement": "8e-6 g/Hz^0.5", "velocity": "6e-6 g/Hz^0.5"}
+_WEAK_RANDOM_WALK: Final = {"displacement": "8e-6 g/Hz^0.5", "velocity": "6e-6 g/Hz^0.5"}
 
 
 def _list_cases() -> Iterator[Case]:
-    for observable, noise in _WHITE.items():
+    for observable, noise in _WHITE_NOISE.items():
         white = {observable: noise}
         yield Case("joint", observable, "white noise, stated", white, white)
         if observable == "specific_force":
             # The noise of the accelerometer is the noise of the record.
             yield Case("joint", observable, "white noise, estimated", white, {})
             continue
-        estimated = {observable: "estimate", **_NO_WALK}
+        estimated = {observable: "estimate", **_NO_RANDOM_WALK}
         yield Case(
             "joint",
             observable,
@@ -135,7 +146,7 @@ def _list_cases() -> Iterator[Case]:
             estimated,
         )
         yield Case("joint", observable, "white noise, not stated", white, {})
-        white_and_walk = {**white, **_WALK}
+        white_and_walk = {**white, **_RANDOM_WALK}
         yield Case(
             "joint",
             observable,
@@ -146,26 +157,28 @@ def _list_cases() -> Iterator[Case]:
         yield Case(
             "joint", observable, "white noise and random walk, not stated", white_and_walk, {}
         )
-    for observable, noise in _WEAK_WALK.items():
-        white_and_walk = {observable: _WHITE[observable], "acceleration": noise}
+    for observable, noise in _WEAK_RANDOM_WALK.items():
+        white_and_walk = {observable: _WHITE_NOISE[observable], "acceleration": noise}
         yield Case("joint", observable, HIDDEN_NOISE_CASES[1], white_and_walk, {})
     white = {"displacement": "0.01 m"}
-    white_and_walk = {**white, **_WALK}
-    for words, true, stated in (
+    white_and_walk = {**white, **_RANDOM_WALK}
+    for label, true_noise, stated_noise in (
         ("white noise, stated", white, white),
         ("white noise and random walk, stated", white_and_walk, white_and_walk),
         ("white noise and random walk, not stated", white_and_walk, {}),
     ):
-        yield Case("two-stage", "displacement", words, true, stated)
+        yield Case("two-stage", "displacement", label, true_noise, stated_noise)
     for method, observable in (
-        *(("joint", observable) for observable in _WHITE),
+        *(("joint", observable) for observable in _WHITE_NOISE),
         ("two-stage", "displacement"),
     ):
-        white = {observable: _WHITE[observable]}
-        true = {**white, "timing": JITTER}
-        yield Case(method, observable, "stated white noise and time-stamp jitter", true, true)
+        white = {observable: _WHITE_NOISE[observable]}
+        true_noise = {**white, "timing": JITTER}
         yield Case(
-            method, observable, "stated white noise, estimated time-stamp jitter", true, white
+            method, observable, "stated white noise and time-stamp jitter", true_noise, true_noise
+        )
+        yield Case(
+            method, observable, "stated white noise, estimated time-stamp jitter", true_noise, white
         )
 
 
@@ -178,7 +191,7 @@ class Row:
 
     Attributes
     ----------
-    method, observable, words, trials
+    method, observable, label, trials
         The case; each trial has one error per coefficient for each of two accelerometers.
     z_rms, normal_rms, covered
         By coefficient: rms of the errors over u, rms of their normal equivalents, and coverage
@@ -189,7 +202,7 @@ class Row:
 
     method: str
     observable: str
-    words: str
+    label: str
     trials: int
     z_rms: dict[str, float]
     normal_rms: dict[str, float]
@@ -198,14 +211,14 @@ class Row:
     covered_band: float
 
     @property
-    def values(self) -> int:
+    def n_errors(self) -> int:
         """Number of errors of each coefficient."""
         return 2 * self.trials
 
     @property
     def se(self) -> float:
         """Standard error of the normal equivalents' rms of one coefficient."""
-        return 1.0 / math.sqrt(2.0 * self.values)
+        return 1.0 / math.sqrt(2.0 * self.n_errors)
 
     @property
     def rms(self) -> float:
@@ -223,9 +236,9 @@ class Row:
         return sum(self.covered.values()) / len(self.covered)
 
     @property
-    def hidden(self) -> bool:
+    def has_hidden_noise(self) -> bool:
         """Whether u includes noise that the records do not show."""
-        return self.words in HIDDEN_NOISE_CASES
+        return self.label in HIDDEN_NOISE_CASES
 
 
 def _pooled_rms(rms_by_symbol: dict[str, float]) -> float:
@@ -237,20 +250,26 @@ def _normalised_errors(case: Case, campaign: Campaign) -> Iterator[tuple[str, fl
     assert campaign.simulation is not None
     truth = campaign.simulation.truth.coefficients
     if case.method == "two-stage":
-        for name, found in calibrate(campaign, method="two-stage").accelerometers.items():
-            for symbol, c in found.coefficients.items():
-                if c.estimated and c.value is not None and c.u:
-                    yield symbol, (c.value - truth[name][symbol]) / c.u, c.dof or math.inf
+        for name, joint_result in calibrate(campaign, method="two-stage").accelerometers.items():
+            for symbol, coefficient in joint_result.coefficients.items():
+                if coefficient.estimated and coefficient.value is not None and coefficient.u:
+                    yield (
+                        symbol,
+                        (coefficient.value - truth[name][symbol]) / coefficient.u,
+                        coefficient.dof or math.inf,
+                    )
         return
     observed = tuple(observe_runs(campaign))
-    found = estimate(make_series(campaign, observed), make_unknowns(campaign), make_noise(campaign))
-    solution = found.fit.solution
-    for i, unknown in enumerate(found.fit.model.unknowns):
+    joint_result = estimate(
+        make_series(campaign, observed), make_unknowns(campaign), make_noise(campaign)
+    )
+    solution = joint_result.fit.solution
+    for i, unknown in enumerate(joint_result.fit.model.unknowns):
         if unknown.symbol not in TERMS:
             continue  # rotation parameter of a run
-        true = truth[unknown.owner].get(unknown.symbol, TERMS[unknown.symbol].nominal)
-        error = float(solution.estimate[i]) + unknown.nominal - true
-        yield unknown.symbol, error / float(solution.u[i]), float(found.dof[i])
+        true_value = truth[unknown.owner].get(unknown.symbol, TERMS[unknown.symbol].nominal)
+        error = float(solution.estimate[i]) + unknown.nominal - true_value
+        yield unknown.symbol, error / float(solution.u[i]), float(joint_result.dof[i])
 
 
 def run_trials(case: Case, trials: int) -> Row:
@@ -261,8 +280,8 @@ def run_trials(case: Case, trials: int) -> Row:
             file = Path(folder) / "campaign.toml"
             file.write_text(case.description(FIRST_SEED + trial), encoding="utf-8")
             simulate(file, folder)
-            for symbol, z, dof in _normalised_errors(case, read_campaign(folder)):
-                errors.setdefault(symbol, []).append((z, min(dof, 1e9)))
+            for symbol, normalised_error, dof in _normalised_errors(case, read_campaign(folder)):
+                errors.setdefault(symbol, []).append((normalised_error, min(dof, 1e9)))
     return summarise_errors(case, errors)
 
 
@@ -280,13 +299,13 @@ def summarise_errors(case: Case, errors: dict[str, list[tuple[float, float]]]) -
     def by_symbol(values: np.ndarray) -> dict[str, float]:
         return dict(zip(errors, values.mean(axis=(1, 2)).tolist(), strict=True))
 
-    def band(values: np.ndarray) -> float:
-        return float(BAND_FACTOR * values.mean(axis=(0, 2)).std(ddof=1) / math.sqrt(trials))
+    def band(trial_values: np.ndarray) -> float:
+        return float(BAND_FACTOR * trial_values.mean(axis=(0, 2)).std(ddof=1) / math.sqrt(trials))
 
     return Row(
         case.method,
         case.observable,
-        case.words,
+        case.label,
         trials,
         z_rms={symbol: math.sqrt(mean_square) for symbol, mean_square in by_symbol(z**2).items()},
         normal_rms={
@@ -328,7 +347,7 @@ def render(table: Sequence[Row]) -> str:
             (
                 row.method,
                 row.observable.replace("_", " "),
-                row.words,
+                row.label,
                 f"{row.trials}",
                 f"{100.0 * row.coverage:.1f} ± {100.0 * row.covered_band:.1f}",
                 f"{row.normal:.3f} ± {row.normal_band:.3f}",
@@ -344,12 +363,12 @@ def render(table: Sequence[Row]) -> str:
     )
 
 
-TABLE: Final = KeptTable("coverage", DOCS / "methods.md", Row, render)
+TABLE: Final = StoredTable("coverage", DOCS / "methods.md", Row, render)
 
 
 def main() -> None:
     """Recompute the table."""
-    TABLE.keep([run_trials(case, case.trials) for case in CASES])
+    TABLE.store([run_trials(case, case.trials) for case in CASES])
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
 from counterspin.errors import RecordError
 from counterspin.simulation.simulate import simulate
-from kept_table import DOCS, KeptTable, format_table
-from violations import Size, describe_campaign, replace_pieces
+from stored_table import DOCS, StoredTable, format_table
+from violations import Size, describe_campaign, replace_texts
 
 #: Type of measurement -> column.
 COLUMN_BY_MEASUREMENT: Final = {
@@ -33,12 +33,12 @@ COLUMN_BY_MEASUREMENT: Final = {
 GRAVITY: Final = 9.80665
 
 #: Standard uncertainty of a reading, g.
-NOISE: Final = 2e-6
+READING_U: Final = 2e-6
 
 #: True coefficients of the accelerometer, in g-units.
 TRUTH: Final = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 1.5e-5, "delta_O": 1e-3}
 
-SIZE: Final = Size(10.0, 20)
+CAMPAIGN_SIZE: Final = Size(10.0, 20)
 
 
 @dataclass(frozen=True)
@@ -51,33 +51,35 @@ class Mistake:
         Text for the table.
     truth
         True coefficients that differ from `TRUTH`.
-    change
+    transform
         Function applied to each reading, or None if only the attitudes are wrong.
-    sense, zero, upright
+    sense, zero_error, is_axis_up
         Stated attitudes of the tumble test: sense, zero error in deg, and whether the input axis
         points up (or east) at zero.
-    stated
+    stated_values
         Stated values of the accelerometer in the tumble test.
-    world, records
+    simulation_changes, record_changes
         Text of the description -> its replacement in the simulation and in the description.
-        records None: no records are simulated.
+        record_changes None: no records are simulated.
     """
 
     name: str
     truth: Mapping[str, float] = field(default_factory=dict)
-    change: Callable[[float], float] | None = None
+    transform: Callable[[float], float] | None = None
     sense: int = 1
-    zero: float = 0.0
-    upright: bool = True
-    stated: str = ""
-    world: Mapping[str, str] = field(default_factory=dict)
-    records: Mapping[str, str] | None = None
+    zero_error: float = 0.0
+    is_axis_up: bool = True
+    stated_values: str = ""
+    simulation_changes: Mapping[str, str] = field(default_factory=dict)
+    record_changes: Mapping[str, str] | None = None
 
     @property
-    def ways(self) -> list[str]:
+    def measurements(self) -> list[str]:
         """Types of measurement in which the mistake can occur."""
-        ways = ["tumble", *(["arm"] if self.change or self.truth else [])]
-        return ways if self.records is None else [*ways, "force", "two-stage"]
+        measurements = ["tumble", *(["arm"] if self.transform or self.truth else [])]
+        return (
+            measurements if self.record_changes is None else [*measurements, "force", "two-stage"]
+        )
 
 
 #: Limits that allow the simulation of implausible coefficients.
@@ -95,91 +97,91 @@ def _replace_truth(old: str, new: str) -> dict[str, str]:
 MISTAKES: Final = (
     Mistake(
         "wrong sign of all readings",
-        change=lambda value: -value,
-        records={'input_axis = "east"': 'input_axis = "west"'},
+        transform=lambda value: -value,
+        record_changes={'input_axis = "east"': 'input_axis = "west"'},
     ),
     Mistake(
         "K_I = 1.3 g/g",
         {"K_I": 1.3},
-        world=_replace_truth('K_I = "1.0019732 g/g"', 'K_I = "1.3 g/g"'),
-        records={},
+        simulation_changes=_replace_truth('K_I = "1.0019732 g/g"', 'K_I = "1.3 g/g"'),
+        record_changes={},
     ),
     Mistake(
         "K_F = 0.3 g",
         {"K_F": 0.3},
-        world=_replace_truth('K_F = "0.0050312 g"', 'K_F = "0.3 g"'),
-        records={},
+        simulation_changes=_replace_truth('K_F = "0.0050312 g"', 'K_F = "0.3 g"'),
+        record_changes={},
     ),
     Mistake(
         "K_II = 500 ug/g^2",
         {"K_II": 5e-4},
-        world=_replace_truth('K_II = "2e-5 g/g^2"', 'K_II = "5e-4 g/g^2"'),
-        records={},
+        simulation_changes=_replace_truth('K_II = "2e-5 g/g^2"', 'K_II = "5e-4 g/g^2"'),
+        record_changes={},
     ),
     Mistake(
         "m/s^2 instead of g",
-        change=lambda value: GRAVITY * value,
-        records={'unit = "m/s^2"': 'unit = "g"', 'unit = "m"': 'unit = "mm"'},
+        transform=lambda value: GRAVITY * value,
+        record_changes={'unit = "m/s^2"': 'unit = "g"', 'unit = "m"': 'unit = "mm"'},
     ),
-    Mistake("head zero wrong by 1 deg", zero=1.0),
+    Mistake("head zero wrong by 1 deg", zero_error=1.0),
     Mistake(
         "attitude angles in the opposite sense, input axis east at angle zero",
         sense=-1,
-        upright=False,
+        is_axis_up=False,
     ),
     Mistake(
         "attitude angles in the opposite sense, delta_O stated",
         sense=-1,
-        stated='delta_O = "1e-3 ± 1e-6 rad"\n',
+        stated_values='delta_O = "1e-3 ± 1e-6 rad"\n',
     ),
 )
 
 
 def describe_readings(mistake: Mistake, measurement: str) -> str:
     """Return a campaign of static or arm readings: closed-form values plus noise."""
-    true = {**TRUTH, **mistake.truth}
+    coefficients = {**TRUTH, **mistake.truth}
     rng = np.random.default_rng(1)
-    change = mistake.change or float
+    transform = mistake.transform or float
 
-    def format_reading(along: float, across: float) -> str:
+    def format_reading(along_input: float, across_input: float) -> str:
         value = (
-            true["K_F"]
-            + true["K_I"] * along
-            + true["K_II"] * along**2
-            + true["delta_O"] * across
-            + rng.normal(0.0, NOISE)
+            coefficients["K_F"]
+            + coefficients["K_I"] * along_input
+            + coefficients["K_II"] * along_input**2
+            + coefficients["delta_O"] * across_input
+            + rng.normal(0.0, READING_U)
         )
-        return f"{change(float(value))!r} ± {abs(change(NOISE))} g"
+        return f"{transform(float(value))!r} ± {abs(transform(READING_U))} g"
 
-    pieces = [
+    sections = [
         f'schema = 1\nsite = {{ gravity = "{GRAVITY} m/s^2", latitude = "45.75 deg" }}\n'
         '[centrifuge]\nradius = "1 ± 1e-6 m"\n'
     ]
     if measurement == "tumble":
-        axes = ("up", "west") if mistake.upright else ("east", "up")
-        pieces.append(_describe_accelerometer(*axes, mistake.stated))
+        axes = ("up", "west") if mistake.is_axis_up else ("east", "up")
+        sections.append(_describe_accelerometer(*axes, mistake.stated_values))
         for angle in range(0, 360, 15):
             # From up, about north: the input axis turns to the east, the pendulous one up.
-            angle_rad = math.radians(angle if mistake.upright else angle + 90.0)
+            angle_rad = math.radians(angle if mistake.is_axis_up else angle + 90.0)
             reading = format_reading(math.cos(angle_rad), math.sin(angle_rad))
-            attitude = f"{mistake.sense * angle + mistake.zero!r} deg about north"
-            pieces.append(
+            attitude = f"{mistake.sense * angle + mistake.zero_error!r} deg about north"
+            sections.append(
                 f'[[runs]]\nname = "{angle} deg"\nmotion = "static"\nattitude = "{attitude}"\n'
                 f'reading = "{reading}"\n'
             )
-        return "".join(pieces)
+        return "".join(sections)
     # Readings on an arm do not determine a misalignment about the output axis.
-    pieces.append(_describe_accelerometer("up", "west", "").replace(', "delta_O"', ""))
+    sections.append(_describe_accelerometer("up", "west", "").replace(', "delta_O"', ""))
     for side, sign in (("inward", 1.0), ("outward", -1.0)):
         for acceleration in (1.0, 2.0, 5.0, 10.0, 15.0, 20.0):
             rate = math.sqrt(acceleration * GRAVITY)
-            pieces.append(
+            sections.append(
                 f'[[runs]]\nname = "{side} {acceleration:g} g"\nmotion = "arm"\n'
                 f'rate = "{rate!r} rad/s"\n'
                 f'axes = {{ input = "{side}", pendulous = "forward" }}\n'
                 f'reading = "{format_reading(sign * acceleration, 0.0)}"\n'
             )
-    return "".join(pieces)
+    return "".join(sections)
 
 
 def _describe_accelerometer(axis: str, pendulous: str, stated: str) -> str:
@@ -197,21 +199,23 @@ def calibrate_mistake(mistake: Mistake, measurement: str) -> Result:
         if measurement in ("tumble", "arm"):
             campaign.write_text(describe_readings(mistake, measurement), encoding="utf-8")
             return calibrate(folder)
-        reference = describe_campaign(
-            "specific_force" if measurement == "force" else "displacement", SIZE
+        reference_description = describe_campaign(
+            "specific_force" if measurement == "force" else "displacement", CAMPAIGN_SIZE
         )
-        world = Path(folder) / "world.toml"
-        world.write_text(replace_pieces(reference, mistake.world), encoding="utf-8")
-        simulate(world, folder, overwrite=True)
-        stated = reference
-        for old, new in (mistake.records or {}).items():
-            stated = stated.replace(old, new)
+        simulation = Path(folder) / "simulated.toml"
+        simulation.write_text(
+            replace_texts(reference_description, mistake.simulation_changes), encoding="utf-8"
+        )
+        simulate(simulation, folder, overwrite=True)
+        description = reference_description
+        for old, new in (mistake.record_changes or {}).items():
+            description = description.replace(old, new)
         if measurement == "force":  # the records determine both
-            stated = replace_pieces(
-                stated,
+            description = replace_texts(
+                description,
                 {'bias = "0.00503 ± 2e-6 g"\n': "", 'scale_factor = "1.00197 ± 5e-6 g/g"\n': ""},
             )
-        campaign.write_text(stated, encoding="utf-8")
+        campaign.write_text(description, encoding="utf-8")
         return calibrate(folder, method="two-stage" if measurement == "two-stage" else "joint")
 
 
@@ -220,7 +224,7 @@ class Row:
     """State and first finding for a mistake in one type of measurement."""
 
     name: str
-    way: str
+    measurement: str
     state: str
     code: str
     subject: str
@@ -254,7 +258,7 @@ def check_mistake(mistake: Mistake, measurement: str) -> Row:
 def check_mistakes() -> Iterator[Row]:
     """Yield the rows of the table."""
     for mistake in MISTAKES:
-        for measurement in mistake.ways:
+        for measurement in mistake.measurements:
             yield check_mistake(mistake, measurement)
 
 
@@ -262,13 +266,13 @@ def render(table: Sequence[Row]) -> str:
     """Return the table as Markdown, one line for each mistake."""
     lines = []
     for name in dict.fromkeys(row.name for row in table):
-        cells = {row.way: row.cell for row in table if row.name == name}
+        cells = {row.measurement: row.cell for row in table if row.name == name}
         lines.append([name, *(cells.get(measurement, "") for measurement in COLUMN_BY_MEASUREMENT)])
     return format_table(dict.fromkeys(["mistake", *COLUMN_BY_MEASUREMENT.values()], "---"), lines)
 
 
-TABLE: Final = KeptTable("incredible", DOCS / "violations.md", Row, render)
+TABLE: Final = StoredTable("incredible", DOCS / "violations.md", Row, render)
 
 
 if __name__ == "__main__":
-    TABLE.keep(list(check_mistakes()))
+    TABLE.store(list(check_mistakes()))

@@ -14,8 +14,8 @@ from counterspin.calibration.result import Result
 from counterspin.physics.terms import READING_TERMS, TERMS
 from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.simulation.simulate import simulate
-from kept_table import DOCS, KeptTable
-from violations import Row, Violation, compare_results, format_rows, replace_pieces
+from stored_table import DOCS, StoredTable
+from violations import Row, Violation, compare_results, format_rows, replace_texts
 
 #: Tumble test -> positions per turn, and mounting angle of each turn, deg.
 TUMBLE_TESTS: Final = {
@@ -34,7 +34,7 @@ def describe_tumble(positions: int, mounting_angles: tuple[int, ...]) -> str:
 
     mounting_angles: Mounting angle of the accelerometer on the head in each turn, deg.
     """
-    pieces = [
+    sections = [
         f"""schema = 1
 
 [site]
@@ -64,7 +64,7 @@ seed = 4
     for mounting_angle in mounting_angles:
         for n in range(positions):
             head_angle = 360.0 * n / positions
-            pieces.append(
+            sections.append(
                 f"""
 [[runs]]
 name = "{head_angle:g} deg{f", mounted {mounting_angle} deg on" if mounting_angle else ""}"
@@ -74,65 +74,67 @@ head = "{head_angle:g} deg"
 reading = "0 ± 2e-6 g"
 """
             )
-    return "".join(pieces)
+    return "".join(sections)
 
 
 def list_violations() -> list[Violation]:
     """Return one violation for each nuisance term that acts at rest, at its typical size."""
-    rows = []
-    machine = [row for row in READING_TERMS.values() if row.scope == "machine"]
-    for row in (*TERMS.values(), *machine):
-        if row.symbol in TERMS_OF_INTEREST or (row.motions and "static" not in row.motions):
+    violations = []
+    machine_terms = [term for term in READING_TERMS.values() if term.scope == "machine"]
+    for term in (*TERMS.values(), *machine_terms):
+        if term.symbol in TERMS_OF_INTEREST or (term.motions and "static" not in term.motions):
             continue
-        unit, factor = find_display_unit(row.unit)
-        size = f"{format_number(row.typical * factor, 2)} {unit}"
-        owner = "machine" if row.motions else "Qx"
-        line = f'"{row.symbol}" = "{row.typical!r} {row.unit}"\n'
-        rows.append(Violation(row.symbol, size, row.symbol, truth=f"[truth.{owner}]\n{line}"))
-    return rows
+        unit, factor = find_display_unit(term.unit)
+        size = f"{format_number(term.typical * factor, 2)} {unit}"
+        owner = "machine" if term.motions else "Qx"
+        line = f'"{term.symbol}" = "{term.typical!r} {term.unit}"\n'
+        violations.append(
+            Violation(term.symbol, size, term.symbol, truth=f"[truth.{owner}]\n{line}")
+        )
+    return violations
 
 
-def describe_world(violation: Violation | None, reference: str) -> str:
+def describe_simulation(violation: Violation | None, reference: str) -> str:
     """Return the simulated campaign with a violation, or without one."""
     if violation is None:
         return reference
     table, _, line = violation.truth.partition("\n")
     if table in reference:
-        return replace_pieces(reference, {f"{table}\n": f"{table}\n{line}"})
+        return replace_texts(reference, {f"{table}\n": f"{table}\n{line}"})
     return f"{reference}\n{violation.truth}"
 
 
-def calibrate_world(world: str) -> Iterator[Result]:
+def calibrate_simulation(simulation: str) -> Iterator[Result]:
     """Yield the calibrations of a tumble test with unstated terms fixed, and with none fixed."""
     with tempfile.TemporaryDirectory() as folder:
         campaign = Path(folder) / "campaign.toml"
-        (Path(folder) / "world.toml").write_text(world, encoding="utf-8")
-        simulate(Path(folder) / "world.toml", folder, overwrite=True)
-        stated = campaign.read_text(encoding="utf-8")
-        for text in (replace_pieces(stated, _FIX_UNSTATED), stated):
-            campaign.write_text(text, encoding="utf-8")
+        (Path(folder) / "simulated.toml").write_text(simulation, encoding="utf-8")
+        simulate(Path(folder) / "simulated.toml", folder, overwrite=True)
+        description = campaign.read_text(encoding="utf-8")
+        for variant in (replace_texts(description, _FIX_UNSTATED), description):
+            campaign.write_text(variant, encoding="utf-8")
             yield calibrate(folder)
 
 
 def calibrate_violations(tumble: str) -> Iterator[Row]:
     """Yield the rows of one tumble test."""
     reference = describe_tumble(*TUMBLE_TESTS[tumble])
-    clean = list(calibrate_world(reference))
+    clean = list(calibrate_simulation(reference))
     for violation in list_violations():
-        violated = list(calibrate_world(describe_world(violation, reference)))
+        violated = list(calibrate_simulation(describe_simulation(violation, reference)))
         yield compare_results(violation, tumble, clean, violated)
 
 
-TABLE: Final = KeptTable("tumbled", DOCS / "violations.md", Row, format_rows)
+TABLE: Final = StoredTable("tumbled", DOCS / "violations.md", Row, format_rows)
 
 
 def main() -> None:
     """Recompute the table."""
     table = [row for tumble in TUMBLE_TESTS for row in calibrate_violations(tumble)]
-    TABLE.keep(table)
+    TABLE.store(table)
     for row in table:
-        if row.silent:
-            print(f"silent: {row.name} ({row.observable}): {row.held:.2g} u")
+        if row.is_silent:
+            print(f"silent: {row.name} ({row.observable}): {row.largest_free_shift:.2g} u")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from counterspin.calibration.model import make_unknowns
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.physics.terms import ACCELEROMETER_TERMS, term
 from counterspin.simulation.simulate import simulate
-from kept_table import DOCS, UNITS, KeptTable, describe_site, format_table
+from stored_table import DOCS, UNITS, StoredTable, describe_site, format_table
 
 #: Number of campaigns of each kind.
 TRIALS: Final = 300
@@ -48,34 +48,34 @@ class Row:
 
     Attributes
     ----------
-    words, campaigns
-        The kind, and the number of campaigns.
-    values
+    label, n_campaigns
+        Label of the kind, and number of campaigns.
+    n_errors
         By coefficient, the number of errors.
     z_rms
         By coefficient, rms of the errors over u, as normal equivalents.
-    covered
+    coverage
         Fraction of the 95 % intervals of all coefficients that contain the true value.
-    blamed
+    not_good_share
         Fraction of the campaigns with a state other than good.
     """
 
-    words: str
-    campaigns: int
-    values: dict[str, int]
+    label: str
+    n_campaigns: int
+    n_errors: dict[str, int]
     z_rms: dict[str, float]
-    covered: float
-    blamed: float
+    coverage: float
+    not_good_share: float
 
 
 @dataclass(frozen=True)
 class DrawnCampaign:
     """One campaign: its description without truth, and the true coefficients."""
 
-    described: str
-    simulated: str
+    description: str
+    simulation: str
     truth: dict[str, dict[str, float]]
-    gaps: int
+    n_gaps: int
 
 
 @dataclass(frozen=True)
@@ -84,23 +84,23 @@ class Kind:
 
     Attributes
     ----------
-    unstated
+    has_unstated_errors
         Whether it has unstated errors; otherwise all unstated terms are fixed at nominal.
     noise
         Noise in the description: "stated", "found" (omitted) or "estimate"; None: drawn from the
         first two.
-    first
+    first_seed
         Seed of the first campaign.
     """
 
-    unstated: bool
+    has_unstated_errors: bool
     noise: str | None = None
-    first: int = 7000
+    first_seed: int = 7000
 
 
 def draw_campaign(rng: np.random.Generator, kind: Kind) -> DrawnCampaign:
     """Draw a campaign of a kind."""
-    has_unstated = kind.unstated
+    has_unstated = kind.has_unstated_errors
     observable = str(rng.choice([*WHITE_NOISE], p=[0.6, 0.2, 0.2]))
     axes = ["east", "north"] if rng.random() < 0.7 else [str(rng.choice(["east", "north"]))]
     if rng.random() < 0.5:
@@ -110,7 +110,7 @@ def draw_campaign(rng: np.random.Generator, kind: Kind) -> DrawnCampaign:
     noise = [f'{observable} = "{white!r} {UNITS[observable]}"']
     noise += [f'acceleration = "{walk!r} m/s^2/Hz^0.5"'] if walk else []
     noise_modes = kind.noise, "stated" if rng.random() < 0.5 else "found"
-    stated = {
+    stated_noise = {
         "stated": noise,
         "found": [],
         "estimate": [f'{line.partition(" ")[0]} = "estimate"' for line in noise],
@@ -119,7 +119,7 @@ def draw_campaign(rng: np.random.Generator, kind: Kind) -> DrawnCampaign:
     accelerometer_tables = []
     for axis in axes:
         coefficients = {
-            s: term(s).nominal + size * _draw_plausible(rng, s)
+            s: term(s).nominal + size * _draw_plausible_z(rng, s)
             for s, size in COEFFICIENT_SD.items()
         }
         truth[f"Q{axis}"] = coefficients
@@ -147,31 +147,41 @@ def draw_campaign(rng: np.random.Generator, kind: Kind) -> DrawnCampaign:
             for symbol in ("site.gravity", "site.latitude", "centrifuge.radius")
         )
     )
-    noise_table = "[noise]\n" + "\n".join(stated) if stated else ""
-    described = "\n\n".join([site, *accelerometer_tables, noise_table, model, *run_tables]) + "\n"
-    errors = _draw_unstated(described, rng) if has_unstated else {}
+    noise_table = "[noise]\n" + "\n".join(stated_noise) if stated_noise else ""
+    description = "\n\n".join([site, *accelerometer_tables, noise_table, model, *run_tables]) + "\n"
+    unstated_errors = _draw_unstated(description, rng) if has_unstated else {}
     for name in truth:
-        truth[name] |= errors.get(name, {})
-    simulation = (
+        truth[name] |= unstated_errors.get(name, {})
+    simulation_table = (
         f'[simulation]\nsampling_rate = "16 Hz"\nrevolutions = {int(rng.integers(15, 40))}\n'
         f"seed = {int(rng.integers(1 << 30))}\n"
     )
     true_tables = [
-        f"[truth.{name}]\n" + "\n".join(f'"{s}" = "{v!r} {term(s).unit}"' for s, v in own.items())
-        for name, own in truth.items()
+        f"[truth.{name}]\n"
+        + "\n".join(f'"{s}" = "{v!r} {term(s).unit}"' for s, v in values.items())
+        for name, values in truth.items()
     ]
-    true_tables += list(_format_shared_truth(errors))
+    true_tables += list(_format_shared_truth(unstated_errors))
     simulated_runs = [
-        run + _format_tilts(errors.get(f"run{i}", {})) for i, run in enumerate(run_tables, start=1)
+        run + _format_tilts(unstated_errors.get(f"run{i}", {}))
+        for i, run in enumerate(run_tables, start=1)
     ]
     true_noise = "[truth.noise]\n" + "\n".join([*noise, 'angle = "1e-6 rad"'])
-    simulated = "\n\n".join(
-        [site, *accelerometer_tables, model, *simulated_runs, simulation, *true_tables, true_noise]
+    simulation = "\n\n".join(
+        [
+            site,
+            *accelerometer_tables,
+            model,
+            *simulated_runs,
+            simulation_table,
+            *true_tables,
+            true_noise,
+        ]
     )
-    return DrawnCampaign(described, simulated + "\n", truth, int(rng.integers(0, 3)))
+    return DrawnCampaign(description, simulation + "\n", truth, int(rng.integers(0, 3)))
 
 
-def _draw_plausible(rng: np.random.Generator, symbol: str) -> float:
+def _draw_plausible_z(rng: np.random.Generator, symbol: str) -> float:
     """Return a standard normal draw that keeps the coefficient within its plausible limit."""
     while True:
         drawn = float(rng.standard_normal())
@@ -179,10 +189,10 @@ def _draw_plausible(rng: np.random.Generator, symbol: str) -> float:
             return drawn
 
 
-def _draw_unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, float]]:
+def _draw_unstated(description: str, rng: np.random.Generator) -> dict[str, dict[str, float]]:
     """Draw all unstated errors of a campaign: owner -> symbol -> value."""
     with tempfile.TemporaryDirectory() as folder:
-        campaign = _write_campaign(Path(folder), described)
+        campaign = _write_campaign(Path(folder), description)
         unknowns = make_unknowns(campaign).unknowns
     errors: dict[str, dict[str, float]] = {}
     for unknown in unknowns:
@@ -216,11 +226,11 @@ def _write_campaign(folder: Path, text: str) -> Campaign:
     return read_campaign(folder)
 
 
-def _add_gaps(folder: Path, rng: np.random.Generator, gaps: int) -> None:
+def _add_gaps(folder: Path, rng: np.random.Generator, n_gaps: int) -> None:
     """Remove rows from each record."""
     for file in sorted(folder.glob("run*.csv")):
         head, *rows = file.read_text(encoding="utf-8").splitlines()
-        for _ in range(gaps):
+        for _ in range(n_gaps):
             start = int(rng.integers(10, len(rows) - 40))
             del rows[start : start + int(rng.integers(1, 20))]
         file.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
@@ -232,62 +242,70 @@ def run_trial(seed: int, kind: Kind) -> tuple[list[tuple[str, float, bool]], Any
     campaign = draw_campaign(rng, kind)
     with tempfile.TemporaryDirectory() as parent:
         folder = Path(parent) / "records"
-        simulate(_write_campaign(Path(parent) / "true", campaign.simulated), folder)
+        simulate(_write_campaign(Path(parent) / "true", campaign.simulation), folder)
         (folder / "campaign.toml").unlink()
-        _add_gaps(folder, rng, campaign.gaps)
-        result = calibrate(_write_campaign(folder, campaign.described))
+        _add_gaps(folder, rng, campaign.n_gaps)
+        result = calibrate(_write_campaign(folder, campaign.description))
     errors = []
     for name, accelerometer in result.accelerometers.items():
-        for symbol, c in accelerometer.coefficients.items():
-            if c.estimated and c.value is not None and c.u:
-                z = (c.value - campaign.truth[name][symbol]) / c.u
-                low, high = c.interval()
-                normal = float(ndtri(stdtr(min(c.dof or 1e9, 1e9), -abs(z)))) * -np.sign(z)
+        for symbol, coefficient in accelerometer.coefficients.items():
+            if coefficient.estimated and coefficient.value is not None and coefficient.u:
+                z = (coefficient.value - campaign.truth[name][symbol]) / coefficient.u
+                low, high = coefficient.interval()
+                normal = float(ndtri(stdtr(min(coefficient.dof or 1e9, 1e9), -abs(z)))) * -np.sign(
+                    z
+                )
                 errors.append((symbol, normal, low <= campaign.truth[name][symbol] <= high))
     return errors, result
 
 
-def run_trials(words: str, kind: Kind, trials: int) -> Row:
+def run_trials(label: str, kind: Kind, trials: int) -> Row:
     """Simulate and calibrate campaigns of a kind; return their row."""
     by_symbol: dict[str, list[float]] = {}
-    covered, blamed = [], 0
+    coverage_flags, n_not_good = [], 0
     for trial in range(trials):
-        errors, result = run_trial(kind.first + trial, kind)
-        blamed += result.state != "good"
-        for symbol, z, holds in errors:
+        errors, result = run_trial(kind.first_seed + trial, kind)
+        n_not_good += result.state != "good"
+        for symbol, z, is_covered in errors:
             by_symbol.setdefault(symbol, []).append(z)
-            covered.append(holds)
+            coverage_flags.append(is_covered)
     return Row(
-        words,
+        label,
         trials,
         {symbol: len(z) for symbol, z in by_symbol.items()},
         {symbol: float(np.sqrt(np.mean(np.square(z)))) for symbol, z in by_symbol.items()},
-        float(np.mean(covered)),
-        blamed / trials,
+        float(np.mean(coverage_flags)),
+        n_not_good / trials,
     )
 
 
 def render(rows: Sequence[Row]) -> str:
     """Return the table as Markdown."""
-    head = {"Campaigns": "---", "Number": "---:"}
-    head |= {f"z rms of {symbol}": "---:" for symbol in TERMS}
-    head |= {"95 % intervals that contain the true value": "---:", "state other than good": "---:"}
+    alignments = {"Campaigns": "---", "Number": "---:"}
+    alignments |= {f"z rms of {symbol}": "---:" for symbol in TERMS}
+    alignments |= {
+        "95 % intervals that contain the true value": "---:",
+        "state other than good": "---:",
+    }
     return format_table(
-        head,
+        alignments,
         [
             [
-                row.words,
-                str(row.campaigns),
-                *(f"{row.z_rms[s]:.2f} ± {1.0 / np.sqrt(2.0 * row.values[s]):.2f}" for s in TERMS),
-                f"{row.covered:.1%}".replace("%", " %"),
-                f"{row.blamed:.1%}".replace("%", " %"),
+                row.label,
+                str(row.n_campaigns),
+                *(
+                    f"{row.z_rms[s]:.2f} ± {1.0 / np.sqrt(2.0 * row.n_errors[s]):.2f}"
+                    for s in TERMS
+                ),
+                f"{row.coverage:.1%}".replace("%", " %"),
+                f"{row.not_good_share:.1%}".replace("%", " %"),
             ]
             for row in rows
         ],
     )
 
 
-TABLE: Final = KeptTable("varied", DOCS / "trust.md", Row, render)
+TABLE: Final = StoredTable("varied", DOCS / "trust.md", Row, render)
 
 KINDS: Final = {
     "no term fixed, all unstated errors drawn from their defaults": Kind(True),
@@ -298,4 +316,4 @@ KINDS: Final = {
 
 
 if __name__ == "__main__":
-    TABLE.keep([run_trials(words, kind, TRIALS) for words, kind in KINDS.items()])
+    TABLE.store([run_trials(label, kind, TRIALS) for label, kind in KINDS.items()])

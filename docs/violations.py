@@ -18,10 +18,10 @@ from counterspin.calibration.result import Result
 from counterspin.physics.terms import ACCELEROMETER_TERMS, SHARED_TERMS, term
 from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.simulation.simulate import simulate
-from kept_table import (
+from stored_table import (
     DOCS,
     UNITS,
-    KeptTable,
+    StoredTable,
     describe_channel,
     describe_runs,
     describe_site,
@@ -105,36 +105,36 @@ class Violation:
     ----------
     name, size
         Texts for the table.
-    world
+    simulation_changes
         Text of the reference campaign -> its replacement in the simulation.
-    stated
+    description_changes
         Text of the reference campaign -> its replacement in the description.
     truth
         Lines of [truth].
     symbol
         Term or input.
-    changes
+    true_changes
         Coefficient -> change of its true value, which is not an error.
     """
 
     name: str
     size: str
     symbol: str
-    world: Mapping[str, str] = field(default_factory=dict)
-    stated: Mapping[str, str] = field(default_factory=dict)
+    simulation_changes: Mapping[str, str] = field(default_factory=dict)
+    description_changes: Mapping[str, str] = field(default_factory=dict)
     truth: str = ""
-    changes: Mapping[str, float] = field(default_factory=dict)
+    true_changes: Mapping[str, float] = field(default_factory=dict)
 
-    def of(self, usual: str) -> tuple[str, str]:
+    def describe(self, reference: str) -> tuple[str, str]:
         """Return the description and the simulated campaign, from the reference campaign."""
-        return replace_pieces(
-            usual, self.stated
-        ), f"{replace_pieces(usual, self.world)}\n{self.truth}"
+        return replace_texts(
+            reference, self.description_changes
+        ), f"{replace_texts(reference, self.simulation_changes)}\n{self.truth}"
 
 
-def replace_pieces(text: str, pieces: Mapping[str, str]) -> str:
+def replace_texts(text: str, replacements: Mapping[str, str]) -> str:
     """Return a text with pieces replaced; raise ValueError if it lacks one of them."""
-    for old, new in pieces.items():
+    for old, new in replacements.items():
         if old not in text:
             raise ValueError(f"the description does not have {old}")
         text = text.replace(old, new)
@@ -145,7 +145,7 @@ def _largest_shift(shifts: Mapping[str, float]) -> float:
     return max(map(abs, shifts.values()), default=0.0)
 
 
-def is_silent(shifts: Mapping[str, float], codes: Sequence[str]) -> bool:
+def is_shift_silent(shifts: Mapping[str, float], codes: Sequence[str]) -> bool:
     """Return whether a coefficient shifts by more than 3 u without a finding."""
     return not codes and _largest_shift(shifts) > SILENT_SHIFT_LIMIT
 
@@ -160,11 +160,11 @@ class Row:
         The violation, and the recorded observable.
     shifts, state, codes
         With unstated terms fixed: coefficient -> shift in u, state of the result, finding codes.
-    weighed, said_weighed
+    free_shifts, free_codes
         With no term fixed: coefficient -> shift in u, and finding codes.
     symbol
         Term or input that differs.
-    named
+    named_causes
         With unstated terms fixed: the first two named causes; an equally good explanation of the
         first finding is the second.
     """
@@ -175,57 +175,61 @@ class Row:
     shifts: dict[str, float]
     state: str
     codes: list[str]
-    weighed: dict[str, float]
-    said_weighed: list[str]
+    free_shifts: dict[str, float]
+    free_codes: list[str]
     symbol: str = ""
-    named: list[str] = field(default_factory=list)
+    named_causes: list[str] = field(default_factory=list)
 
-    def right(self, among: int) -> bool:
+    def names_true_cause(self, n_causes: int) -> bool:
         """Return whether the true cause is among the first named causes."""
-        return any(f".{name}".endswith(f".{self.symbol}") for name in self.named[:among])
+        return any(f".{name}".endswith(f".{self.symbol}") for name in self.named_causes[:n_causes])
 
     @property
-    def silent(self) -> bool:
+    def is_silent(self) -> bool:
         """Whether, with no term fixed, a coefficient shifts by more than 3 u without a finding."""
-        return is_silent(self.weighed, self.said_weighed)
+        return is_shift_silent(self.free_shifts, self.free_codes)
 
     @property
-    def held(self) -> float:
+    def largest_free_shift(self) -> float:
         """Largest shift with no term fixed, in u."""
-        return _largest_shift(self.weighed)
+        return _largest_shift(self.free_shifts)
 
     @property
-    def most_moved(self) -> str:
+    def most_shifted_symbol(self) -> str:
         """The coefficient with the largest shift in u."""
         return max(self.shifts, key=lambda symbol: abs(self.shifts[symbol]))
 
     @property
-    def largest(self) -> float:
+    def largest_shift(self) -> float:
         """Largest shift with unstated terms fixed, in u."""
-        return abs(self.shifts[self.most_moved])
+        return abs(self.shifts[self.most_shifted_symbol])
 
     @property
-    def said(self) -> str:
+    def findings_text(self) -> str:
         """The state and the finding codes, as text."""
         return f"{self.state} ({', '.join(self.codes)})" if self.codes else "no finding"
 
     @property
     def cell(self) -> str:
         """The text of the table cell."""
-        held = (
-            f"{_round_to_two_digits(self.held)} u"
-            if self.held >= SHOWN_SHIFT_LIMIT
+        free_text = (
+            f"{_round_to_two_digits(self.largest_free_shift)} u"
+            if self.largest_free_shift >= SHOWN_SHIFT_LIMIT
             else f"< {SHOWN_SHIFT_LIMIT} u"
         )
-        held = ", ".join([held, *self.said_weighed])
-        if max(self.largest, self.held) < SHOWN_SHIFT_LIMIT and not self.said_weighed:
-            return self.said if self.codes else "-"
-        moved = [
+        free_text = ", ".join([free_text, *self.free_codes])
+        if (
+            max(self.largest_shift, self.largest_free_shift) < SHOWN_SHIFT_LIMIT
+            and not self.free_codes
+        ):
+            return self.findings_text if self.codes else "-"
+        shift_texts = [
             f"{symbol} {_round_to_two_digits(abs(self.shifts[symbol]))} u"
-            for symbol in dict.fromkeys(("K_II", self.most_moved))
+            for symbol in dict.fromkeys(("K_II", self.most_shifted_symbol))
             if abs(self.shifts[symbol]) >= SHOWN_SHIFT_LIMIT
         ]
-        return f"{': '.join([*([', '.join(moved)] if moved else []), self.said])}; {held}"
+        prefix = f"{', '.join(shift_texts)}: " if shift_texts else ""
+        return f"{prefix}{self.findings_text}; {free_text}"
 
 
 def _round_to_two_digits(value: float) -> str:
@@ -235,30 +239,30 @@ def _round_to_two_digits(value: float) -> str:
 
 def term_violations() -> list[Violation]:
     """Return one violation for each nuisance term, at its typical size."""
-    rows = []
+    violations = []
     for symbol in [*ACCELEROMETER_TERMS, *SHARED_TERMS]:
         # table.* acts on strapped-down instruments only; the reference campaign has a platform.
         if symbol in ("K_F", "K_I", "K_II", "K_III") or symbol.startswith("table."):
             continue
-        row = term(symbol)
-        unit, factor = find_display_unit(row.unit)
-        size = f"{format_number(row.typical * factor, 2)} {unit}"
-        value = f'"{row.typical!r} {row.unit}"'
+        properties = term(symbol)
+        unit, factor = find_display_unit(properties.unit)
+        size = f"{format_number(properties.typical * factor, 2)} {unit}"
+        value = f'"{properties.typical!r} {properties.unit}"'
         if symbol in ACCELEROMETER_TERMS:
-            world = {"[truth.Qx]\n": f'[truth.Qx]\n"{symbol}" = {value}\n'}
+            simulation_changes = {"[truth.Qx]\n": f'[truth.Qx]\n"{symbol}" = {value}\n'}
             if ".temperature" in symbol:
                 size += ", for an unrecorded change of 1 K"
-                world |= WARMING_RUNS
+                simulation_changes |= WARMING_RUNS
             elif symbol == "K_F.hysteresis":
                 size += ", for an unrecorded cycle of 3 K"
-                world |= TEMPERATURE_CYCLE
-            rows.append(Violation(symbol, size, symbol, world))
+                simulation_changes |= TEMPERATURE_CYCLE
+            violations.append(Violation(symbol, size, symbol, simulation_changes))
         else:
             table, _, key = symbol.partition(".")
-            rows.append(
+            violations.append(
                 Violation(symbol, size, symbol, truth=f"[truth.{table}]\n{key} = {value}\n")
             )
-    return rows
+    return violations
 
 
 def input_violations() -> list[Violation]:
@@ -319,34 +323,34 @@ def input_violations() -> list[Violation]:
             "K_F",
             {'K_F = "0.0050312 g"': 'K_F = "0.005039 g"'},
             {"0.00503 ± 2e-6 g": "0.00503 g"},
-            changes={"K_F": 0.005039 - 0.0050312},
+            true_changes={"K_F": 0.005039 - 0.0050312},
         ),
         Violation(
             "scale factor, stated ± 5 ppm",
             "50 ppm",
             "K_I",
             {'K_I = "1.0019732 g/g"': 'K_I = "1.00202 g/g"'},
-            changes={"K_I": 1.00202 - 1.0019732},
+            true_changes={"K_I": 1.00202 - 1.0019732},
         ),
     ]
 
 
-def calibrate_world(world: str, *descriptions: str) -> list[Result]:
+def calibrate_simulation(simulation: str, *descriptions: str) -> list[Result]:
     """Return the calibration of the simulated records with each description."""
     with tempfile.TemporaryDirectory() as folder:
-        campaign = Path(folder) / "world.toml"
-        campaign.write_text(world, encoding="utf-8")
+        campaign = Path(folder) / "simulated.toml"
+        campaign.write_text(simulation, encoding="utf-8")
         simulate(campaign, folder, overwrite=True)
         results = []
-        for text in descriptions:
-            (Path(folder) / "campaign.toml").write_text(text, encoding="utf-8")
+        for description in descriptions:
+            (Path(folder) / "campaign.toml").write_text(description, encoding="utf-8")
             results.append(calibrate(folder))
     return results
 
 
-def variants(stated: str) -> tuple[str, str]:
+def fixed_and_free(description: str) -> tuple[str, str]:
     """Return the description with unstated terms fixed at nominal, and the original."""
-    return replace_pieces(stated, FIX_UNSTATED), stated
+    return replace_texts(description, FIX_UNSTATED), description
 
 
 def normalised_shifts(violation: Violation, clean: Result, result: Result) -> dict[str, float]:
@@ -355,12 +359,16 @@ def normalised_shifts(violation: Violation, clean: Result, result: Result) -> di
         r.accelerometers["Qx"].coefficients for r in (clean, result)
     )
     return {
-        symbol: (c.value - clean_coefficients[symbol].value - violation.changes.get(symbol, 0.0))
-        / c.u
-        for symbol, c in coefficients.items()
-        if c.estimated
+        symbol: (
+            coefficient.value
+            - clean_coefficients[symbol].value
+            - violation.true_changes.get(symbol, 0.0)
+        )
+        / coefficient.u
+        for symbol, coefficient in coefficients.items()
+        if coefficient.estimated
         and clean_coefficients[symbol].estimated
-        and c.u  # otherwise it equals its stated value
+        and coefficient.u  # otherwise it equals its stated value
     }
 
 
@@ -380,8 +388,10 @@ def calibrate_violation(
     size
         Size of the campaign.
     """
-    stated, world = violation.of(describe_campaign(observable, size))
-    return compare_results(violation, observable, clean, calibrate_world(world, *variants(stated)))
+    description, simulation = violation.describe(describe_campaign(observable, size))
+    return compare_results(
+        violation, observable, clean, calibrate_simulation(simulation, *fixed_and_free(description))
+    )
 
 
 def compare_results(
@@ -396,10 +406,10 @@ def compare_results(
         shifts=normalised_shifts(violation, clean[0], fixed),
         state=str(fixed.state),
         codes=sorted({finding.code for finding in fixed.findings}),
-        weighed=normalised_shifts(violation, clean[1], estimated),
-        said_weighed=sorted({finding.code for finding in estimated.findings}),
+        free_shifts=normalised_shifts(violation, clean[1], estimated),
+        free_codes=sorted({finding.code for finding in estimated.findings}),
         symbol=violation.symbol,
-        named=[name for f in fixed.findings for name in (f.subject, *f.as_well)][:2],
+        named_causes=[name for f in fixed.findings for name in (f.subject, *f.as_well)][:2],
     )
 
 
@@ -407,8 +417,8 @@ def calibrate_violations(
     violations: Sequence[Violation], observable: str, size: Size
 ) -> Iterator[Row]:
     """Yield the rows of violations with one observable."""
-    stated = describe_campaign(observable, size)
-    clean = calibrate_world(stated, *variants(stated))
+    reference = describe_campaign(observable, size)
+    clean = calibrate_simulation(reference, *fixed_and_free(reference))
     for violation in violations:
         yield calibrate_violation(violation, observable, clean, size)
 
@@ -426,7 +436,9 @@ def format_rows(table: Sequence[Row]) -> str:
 def render(table: Sequence[Row]) -> str:
     """Return the table and the number of correctly named causes."""
     reported = [row for row in table if row.codes]
-    n_second, n_first = (sum(row.right(among) for row in reported) for among in (2, 1))
+    n_second, n_first = (
+        sum(row.names_true_cause(n_causes) for row in reported) for n_causes in (2, 1)
+    )
     return (
         f"{format_rows(table)}\n"
         f"If every term is fixed at its nominal value, findings report {len(reported)} of these "
@@ -437,17 +449,17 @@ def render(table: Sequence[Row]) -> str:
     )
 
 
-TABLE: Final = KeptTable("violations", DOCS / "violations.md", Row, render)
+TABLE: Final = StoredTable("violations", DOCS / "violations.md", Row, render)
 
 
 def main() -> None:
     """Recompute the table."""
     violations = [*term_violations(), *input_violations()]
     table = [row for name in UNITS for row in calibrate_violations(violations, name, FULL_SIZE)]
-    TABLE.keep(table)
+    TABLE.store(table)
     for row in table:
-        if row.silent:
-            print(f"silent: {row.name} ({row.observable}): {row.held:.2g} u")
+        if row.is_silent:
+            print(f"silent: {row.name} ({row.observable}): {row.largest_free_shift:.2g} u")
 
 
 if __name__ == "__main__":

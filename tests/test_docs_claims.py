@@ -45,7 +45,7 @@ from counterspin.reproduction import plan as paper
 from counterspin.studies.result import MIN_TRIALS
 from counterspin.validation.cases import cases
 from counterspin.validation.validate import check_case
-from kept_table import DEFAULT_RATES
+from stored_table import DEFAULT_RATES
 
 ARCSEC = math.radians(1.0 / 3600.0)
 ENCODER = SHARED_TERMS["encoder.harmonic.1.sin"].typical
@@ -358,7 +358,7 @@ def test_azimuth_compliance_equals_k_oo_in_any_attitude(angles):
     np.testing.assert_allclose(compliance, k_oo, rtol=1e-12, atol=1e-12)
 
 
-# What long studies have found ---------------------------------------------------------------------
+# Results of long studies --------------------------------------------------------------------------
 
 
 def largest_shift(row):
@@ -376,8 +376,10 @@ def test_displacement_does_not_reveal_named_violations(violations):
         row = violations[name, "displacement"]
         assert largest_shift(row) > 100
         assert (row["state"], row["codes"]) == ("good", [])
-    (held,) = find_numbers("violations", "a K_OO of typical size shifts K_II by {} u")
-    assert agrees_to_last_digit(held, abs(violations["K_OO", "displacement"]["weighed"]["K_II"]))
+    (free_shift,) = find_numbers("violations", "a K_OO of typical size shifts K_II by {} u")
+    assert agrees_to_last_digit(
+        free_shift, abs(violations["K_OO", "displacement"]["free_shifts"]["K_II"])
+    )
     assert violations["delta_O", "displacement"]["codes"] == ["prior-conflict"]
     for name in ("platform.drift.north", "platform.g2_sensitivity.north"):
         assert violations[name, "displacement"]["codes"] == ["term-missing"]
@@ -439,13 +441,13 @@ def test_violation_campaign_matches_description():
 
 def test_intervals_with_estimated_noise_are_conservative():
     rows = [
-        row for row in load_results("docs/coverage.json") if row["words"].endswith(", not stated")
+        row for row in load_results("docs/coverage.json") if row["label"].endswith(", not stated")
     ]
     assert len(rows) > 4
     for row in rows:
-        assert sum(row["covered"].values()) / len(row["covered"]) >= 0.95, row["words"]
+        assert sum(row["covered"].values()) / len(row["covered"]) >= 0.95, row["label"]
     for row in rows:
-        if row["words"] == "white noise, not stated":
+        if row["label"] == "white noise, not stated":
             length = 1.0 / row["normal_rms"]["K_F"]
             assert "about twice as long as necessary" in read_text("methods")
             assert length == pytest.approx(2.0, abs=0.35)
@@ -454,7 +456,7 @@ def test_intervals_with_estimated_noise_are_conservative():
 def test_u_matches_scatter_if_noise_is_stated_or_visible():
     (near,) = find_numbers("methods", "1 lies inside the band or at most {} outside it")
     study = runpy.run_path(str(ROOT / "docs" / "coverage.py"))
-    rows = [row for row in study["TABLE"].load() if not row.hidden]
+    rows = [row for row in study["TABLE"].load() if not row.has_hidden_noise]
     assert len(rows) > 10
     for row in rows:
         assert abs(row.normal - 1.0) < row.normal_band + parse_number(near), row
@@ -462,7 +464,7 @@ def test_u_matches_scatter_if_noise_is_stated_or_visible():
 
 def test_false_alarm_rates_do_not_exceed_stated_rates():
     """Compare the lower end of the 95 % interval of the trials with the stated share."""
-    bounds = runpy.run_path(str(ROOT / "docs" / "false_alarms.py"))["bounds"]
+    bounds = runpy.run_path(str(ROOT / "docs" / "false_alarms.py"))["proportion_interval"]
     (residuals, _) = find_numbers(
         "diagnosis", "(`lack-of-fit`): {} % of accelerometers; by the two-stage method alone {} %"
     )
@@ -478,7 +480,7 @@ def test_false_alarm_rates_do_not_exceed_stated_rates():
     for row in load_results("docs/false_alarms.json"):
         for label, share in shares.items():
             low, _ = bounds(row["counts"][label], row["trials"])
-            assert 100 * low <= float(share), (label, row["words"])
+            assert 100 * low <= float(share), (label, row["label"])
 
 
 @pytest.fixture(scope="module")

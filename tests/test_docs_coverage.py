@@ -1,4 +1,4 @@
-"""Uncertainties and intervals hold, by observable and noise, as the page on methods says."""
+"""Uncertainties and intervals have the coverage that the page on methods states."""
 
 import math
 import runpy
@@ -10,41 +10,41 @@ import pytest
 DOCS = Path(__file__).parents[1] / "docs"
 STUDY = runpy.run_path(str(DOCS / "coverage.py"))
 TABLE = STUDY["TABLE"]
-KEPT = TABLE.load()
+STORED_ROWS = TABLE.load()
 
 every_row = pytest.mark.parametrize(
-    "row", KEPT, ids=lambda row: f"{row.method}, {row.observable}, {row.words}"
+    "row", STORED_ROWS, ids=lambda row: f"{row.method}, {row.observable}, {row.label}"
 )
 
 
 def test_page_shows_stored_results():
     page = TABLE.page.read_text("utf-8")
-    assert TABLE.insert(KEPT, page) == page
+    assert TABLE.insert(STORED_ROWS, page) == page
 
 
 def test_table_contains_all_cases():
-    assert [(row.method, row.observable, row.words) for row in KEPT] == [
-        (case.method, case.observable, case.words) for case in STUDY["CASES"]
+    assert [(row.method, row.observable, row.label) for row in STORED_ROWS] == [
+        (case.method, case.observable, case.label) for case in STUDY["CASES"]
     ]
 
 
 @every_row
 def test_u_matches_scatter(row):
-    # Together within 5 %, and within what so few trials leave open; by coefficient within that.
+    # All coefficients: within 5 % plus the band; each coefficient: within its standard error.
     assert row.normal < 1.05 + row.normal_band
-    if row.hidden:
-        return  # u has noise that need not be there
+    if row.has_hidden_noise:
+        return  # u includes noise that may be absent
     assert row.normal > 0.95 - row.normal_band
-    for symbol, size in row.normal_rms.items():
-        assert size == pytest.approx(1.0, abs=4.0 * row.se), symbol
+    for symbol, rms in row.normal_rms.items():
+        assert rms == pytest.approx(1.0, abs=4.0 * row.se), symbol
 
 
 @every_row
 def test_intervals_have_coverage(row):
-    within = 3.5 * math.sqrt(0.05 * 0.95 / row.values)
-    for symbol, covered in row.covered.items():
-        assert covered > 0.95 - within, symbol
-        assert covered < 0.95 + within or row.hidden, symbol
+    tolerance = 3.5 * math.sqrt(0.05 * 0.95 / row.n_errors)
+    for symbol, coverage in row.covered.items():
+        assert coverage > 0.95 - tolerance, symbol
+        assert coverage < 0.95 + tolerance or row.has_hidden_noise, symbol
 
 
 def test_normal_equivalent_has_same_probability():
@@ -53,12 +53,12 @@ def test_normal_equivalent_has_same_probability():
     np.testing.assert_allclose(z, [1.959964, -1.959964, 1.5], rtol=1e-6)
 
 
-def test_trials_and_values_are_counted():
+def test_trials_and_errors_are_counted():
     case = STUDY["CASES"][0]
     pairs = {"K_F": [(1.0, 1e9), (2.0, 1e9), (0.0, 1e9), (3.0, 1e9)]}
     row = STUDY["summarise_errors"](case, pairs)
     assert row.trials == 2
-    assert row.values == 4
+    assert row.n_errors == 4
     assert row.z_rms["K_F"] == pytest.approx(math.sqrt(14 / 4))
     assert row.normal == pytest.approx(row.rms)
     assert row.coverage == 0.5
@@ -71,10 +71,10 @@ def test_few_trials_scatter_by_u(method):
     case = next(
         case
         for case in STUDY["CASES"]
-        if (case.method, case.words) == (method, "white noise and random walk, stated")
+        if (case.method, case.label) == (method, "white noise and random walk, stated")
     )
     row = STUDY["run_trials"](case, 8)
-    count = row.values
-    for symbol, size in row.z_rms.items():
+    n = row.n_errors
+    for symbol, rms in row.z_rms.items():
         # chi-square of 16 errors: beyond 4 standard deviations once in 1e4
-        assert abs(size**2 * count - count) < 5.0 * math.sqrt(2.0 * count), symbol
+        assert abs(rms**2 * n - n) < 5.0 * math.sqrt(2.0 * n), symbol

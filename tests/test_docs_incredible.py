@@ -1,4 +1,4 @@
-"""No value that no instrument has goes unsaid, however it is measured."""
+"""Every implausible value causes a finding, in all types of measurement."""
 
 import runpy
 from dataclasses import replace
@@ -8,9 +8,9 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 STUDY = runpy.run_path(str(DOCS / "incredible.py"))
-TABLE, MISTAKES, WAYS = STUDY["TABLE"], STUDY["MISTAKES"], STUDY["COLUMN_BY_MEASUREMENT"]
+TABLE, MISTAKES, MEASUREMENTS = STUDY["TABLE"], STUDY["MISTAKES"], STUDY["COLUMN_BY_MEASUREMENT"]
 
-#: What the first of the findings is of; K_F is stated where two stages are used.
+#: Mistake -> subject of the first finding.
 SUBJECTS = {
     "wrong sign of all readings": "K_I",
     "K_I = 1.3 g/g": "K_I",
@@ -29,14 +29,15 @@ def test_page_shows_stored_results():
 
 
 @pytest.mark.parametrize(
-    ("mistake", "way"),
-    [(m, way) for m in MISTAKES for way in m.ways],
-    ids=lambda part: getattr(part, "name", part),
+    ("mistake", "measurement"),
+    [(m, measurement) for m in MISTAKES for measurement in m.measurements],
+    ids=lambda value: getattr(value, "name", value),
 )
-def test_finding_matches_table(mistake, way):
-    row = STUDY["check_mistake"](mistake, way)
-    (kept,) = (one for one in TABLE.load() if (one.name, one.way) == (row.name, row.way))
-    assert (row.state, row.code, row.subject) == (kept.state, kept.code, kept.subject)
+def test_finding_matches_table(mistake, measurement):
+    row = STUDY["check_mistake"](mistake, measurement)
+    key = (row.name, row.measurement)
+    (stored,) = (r for r in TABLE.load() if (r.name, r.measurement) == key)
+    assert (row.state, row.code, row.subject) == (stored.state, stored.code, stored.subject)
     if row.state == "refused":
         assert "check the " in row.text
         return
@@ -46,7 +47,7 @@ def test_finding_matches_table(mistake, way):
 
 
 def test_likely_cause_is_named():
-    texts = {row.name: row.text for row in TABLE.load() if row.way == "tumble"}
+    texts = {row.name: row.text for row in TABLE.load() if row.measurement == "tumble"}
     sign = "Check the sign of the output, and the senses of the input axis and of the attitudes."
     assert sign in texts["wrong sign of all readings"]
     assert sign in texts["attitude angles in the opposite sense, input axis east at angle zero"]
@@ -58,26 +59,26 @@ def test_likely_cause_is_named():
     )
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_correct_data_have_no_finding(way):
-    right = replace(MISTAKES[1], truth={}, world={}, change=float)
-    row = STUDY["check_mistake"](right, way)
-    # Twelve readings on an arm of which little is stated leave 4.1 degrees of freedom.
-    assert row.code == ("unjudged-readings" if way == "arm" else "")
+@pytest.mark.parametrize("measurement", MEASUREMENTS)
+def test_correct_data_have_no_finding(measurement):
+    correct = replace(MISTAKES[1], truth={}, simulation_changes={}, transform=float)
+    row = STUDY["check_mistake"](correct, measurement)
+    # Twelve readings on an arm, with few stated inputs, leave 4.1 degrees of freedom.
+    assert row.code == ("unjudged-readings" if measurement == "arm" else "")
 
 
-@pytest.mark.parametrize("upright", [True, False])
-def test_correct_attitudes_have_no_finding(upright):
-    stated = 'delta_O = "1e-3 ± 1e-6 rad"\n'
-    mistake = replace(MISTAKES[-1], sense=1, upright=upright, stated=stated)
+@pytest.mark.parametrize("is_axis_up", [True, False])
+def test_correct_attitudes_have_no_finding(is_axis_up):
+    stated_values = 'delta_O = "1e-3 ± 1e-6 rad"\n'
+    mistake = replace(MISTAKES[-1], sense=1, is_axis_up=is_axis_up, stated_values=stated_values)
     assert STUDY["check_mistake"](mistake, "tumble").code == ""
 
 
 def test_implausible_default_prior_follows_cause():
     """Mirrored attitudes resemble an error of the head zero of 80 typical sizes."""
-    (only,) = STUDY["calibrate_mistake"](MISTAKES[-1], "tumble").findings
-    below = only.explains[0]
-    assert (only.code, below.code, below.subject) == (
+    (finding,) = STUDY["calibrate_mistake"](MISTAKES[-1], "tumble").findings
+    explained = finding.explains[0]
+    assert (finding.code, explained.code, explained.subject) == (
         "wrong-mounting",
         "beyond-typical",
         "head.zero",

@@ -1,6 +1,6 @@
 """Tables of simulation results: stored as JSON, shown on a page, checked by tests.
 
-- `KeptTable`: a table, the file that stores its rows and the page that shows it
+- `StoredTable`: a table, the file that stores its rows and the page that shows it
 - `describe_site`, `describe_runs`, `describe_channel`: common TOML sections of campaigns
 """
 
@@ -22,7 +22,7 @@ Row = TypeVar("Row")
 
 
 @dataclass(frozen=True)
-class KeptTable(Generic[Row]):
+class StoredTable(Generic[Row]):
     """A table of a page of the documentation.
 
     Attributes
@@ -59,7 +59,7 @@ class KeptTable(Generic[Row]):
         """Return the stored rows."""
         return [self.row(**row) for row in json.loads(self.file.read_text(encoding="utf-8"))]
 
-    def keep(self, rows: Sequence[Any]) -> None:
+    def store(self, rows: Sequence[Any]) -> None:
         """Write the rows to the JSON file and the page."""
         text = json.dumps([asdict(row) for row in rows], indent=1)
         self.file.write_text(f"{text}\n", encoding="utf-8")
