@@ -485,12 +485,15 @@ def _check_item(document: Mapping[str, Any], result: Result, problems: Problems)
     path = ("item", "serial_number")
     item_serial_number = table_of(document, "item").get("serial_number")
     campaign_serial_number = result.details.get("serial_number")
-    # The item is the platform, or a single accelerometer.
-    parts = (accelerometer.serial_number for accelerometer in result.accelerometers.values())
+    # The item is the platform or an accelerometer, whose number the campaign may not state.
+    settings = table_of(document, "certificate")
+    names = list_of(settings, "accelerometers") or [*result.accelerometers]
+    parts = [accelerometer.serial_number for accelerometer in result.accelerometers.values()]
     if (
         campaign_serial_number
         and isinstance(item_serial_number, str)
         and item_serial_number not in (campaign_serial_number, *parts)
+        and (len(names) > 1 or None not in parts)
         and not is_template_value(path, item_serial_number)
     ):
         problems.add(

@@ -353,7 +353,7 @@ def _difference_table(changed_coefficients: list[RepeatedCoefficient]) -> Table:
     rows = list[tuple[str, ...]]()
     for coefficient in changed_coefficients:
         unit, factor = find_display_unit(coefficient.unit)
-        in_u_text = "" if coefficient.in_u is None else f"{coefficient.in_u:.2g}"
+        in_u_text = "" if coefficient.in_u is None else format_number(coefficient.in_u)
         rows.append(
             (
                 f"{coefficient.name}, {unit}",
