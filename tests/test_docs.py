@@ -224,6 +224,19 @@ def test_heading_levels_are_not_skipped():
         assert all(after <= before + 1 for before, after in pairwise(levels)), page
 
 
+def unknown_result_attributes(text):
+    """Return the attributes of `result` in a page that a `Result` does not have."""
+    names = set(re.findall(r"`result\.([a-z_]+)[.(\[`]", text)) - {"json", "csv", "mat", "xlsx"}
+    known = {*cs.Result.model_fields, *dir(cs.Result)}
+    return sorted(names - known)
+
+
+def test_attributes_of_result_in_text_exist():
+    text = "\n".join(page.read_text(encoding="utf-8") for page in [README, *DOCS])
+    assert unknown_result_attributes(text) == []
+    assert unknown_result_attributes("`result.table()`, `result.frame()`") == ["frame"]
+
+
 def test_standards_page_names_existing_commands():
     page = (ROOT / "docs" / "standards.md").read_text(encoding="utf-8")
     tables = page.partition("## Other standards")[0]
