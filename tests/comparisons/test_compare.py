@@ -417,6 +417,17 @@ def test_disagreement_is_reported_first():
     assert (first_block.style, second_block.style) == ("warning", "answer")
 
 
+def test_contradicted_result_is_reported():
+    document = json.loads(make_result(2.7002e-5).to_json())
+    document["accelerometers"]["Qx"]["residual"] |= {"chi2": 6400.0, "lack_of_fit_p": 0.0}
+    contradicted = cs.Result.model_validate(document)
+    words = "The records contradict new, so its uncertainties"
+    for result, is_reported in ((contradicted, True), (make_result(2.7002e-5), False)):
+        text = comparison_text(cs.compare(make_result(), result, names=["old", "new"]))
+        assert (words in text) is is_reported
+        assert "contradict old" not in text
+
+
 def test_plot_names_only_results_with_value():
     comparison = cs.compare(
         *map(make_result, (2.7e-5, 2.70001e-5)),

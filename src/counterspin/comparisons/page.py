@@ -50,6 +50,13 @@ def comparison_blocks(comparison: ResultComparison) -> Iterator[Block]:
     """Yield the verdict on agreement, the values and differences, and the changes."""
     yield Heading(_COMPARISON_TITLE, 1)
     yield from _unsealed_warnings(comparison.unsealed)
+    for result in comparison.results:
+        if result.state == "contradicted":
+            yield Paragraph(
+                f"The records contradict {result.name}, so its uncertainties and the tests below "
+                "are not valid for this result.",
+                "warning",
+            )
     for agreement in sorted(comparison.agreements, key=lambda agreement: agreement.agrees):
         yield Paragraph(agreement_sentence(comparison, agreement), _agreement_style(agreement))
     for result in comparison.results:
