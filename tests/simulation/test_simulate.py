@@ -205,6 +205,15 @@ def test_records_in_subfolders_are_simulated_and_calibrated(tmp_path):
     assert set(calibrate(tmp_path / "made", method="two-stage").runs) == {"slow", "middle", "fast"}
 
 
+def test_path_of_campaign_may_contain_parent_folders(tmp_path, monkeypatch):
+    write_description(tmp_path / "campaign", SMALL)
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    assert main(["simulate", "../campaign", "-o", "../made"]) == 0
+    assert (tmp_path / "made" / "slow.csv").exists()
+    assert main(["simulate", "../campaign/../made", "-o", "copy"]) == 0
+
+
 def test_record_outside_campaign_folder_raises(tmp_path):
     outside = tmp_path / "elsewhere" / "run.csv"
     for record in (outside.as_posix(), "../elsewhere/run.csv"):

@@ -89,6 +89,11 @@ def description_file(location: Path | str) -> Path:
     return path / DESCRIPTION_NAME if os.path.isdir(path) else path  # noqa: PTH112 -- any name
 
 
+def is_inside_folder(file: Path, folder: Path) -> bool:
+    """Return whether a path is inside a folder; the path of the folder may contain ``..``."""
+    return file.is_relative_to(folder) and ".." not in file.relative_to(folder).parts
+
+
 def flatten_keys(
     table: Mapping[str, Any], prefix: str = "", is_value: Callable[[object], bool] = lambda _: False
 ) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from counterspin.campaign.documents import (
     Source,
     description_file,
     find_invalid_values,
+    is_inside_folder,
     list_of,
     load_with_checksum,
     merge_patch,
@@ -286,7 +287,7 @@ class _RelocatedFiles:
         source_folder, folder = self.campaign.folder, self.folder
         file = source_folder / name
         record = self.campaign.record_at(file)
-        is_inside = file.is_relative_to(source_folder) and ".." not in file.parts
+        is_inside = is_inside_folder(file, source_folder)
         relative_name = name if is_inside else file.name
         if is_inside and Path(name).is_absolute():
             relative_name = file.relative_to(source_folder).as_posix()

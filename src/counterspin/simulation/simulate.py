@@ -16,7 +16,12 @@ import polars as pl
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import run_conditions
 from counterspin.campaign.description import Campaign, read_campaign
-from counterspin.campaign.documents import DESCRIPTION_NAME, load_document, require_source
+from counterspin.campaign.documents import (
+    DESCRIPTION_NAME,
+    is_inside_folder,
+    load_document,
+    require_source,
+)
 from counterspin.campaign.memory import WRITERS, copy_record
 from counterspin.campaign.reading import Reading
 from counterspin.campaign.runs import Run, sample_count
@@ -330,7 +335,7 @@ def _static_record_copy(campaign: Campaign, folder: Path) -> dict[Path, Path | M
     stated_path, resolved_path = campaign.noise and campaign.noise.rest, campaign.rest
     if not stated_path or resolved_path is None or Path(stated_path).is_absolute():
         return {}
-    if ".." in resolved_path.parts:
+    if ".." in Path(stated_path).parts:
         text = "is outside the campaign folder; choose a file in the folder of the description"
         raise CampaignError(
             str(campaign.path), [f"noise.from: {stated_path} {text}"], code="path-outside-folder"
@@ -351,7 +356,7 @@ def _targets_in_folder(
                 f"{key}: {file.name} cannot be simulated; the file name must end in "
                 f"{' or '.join(WRITERS)}"
             )
-        elif ".." in file.parts or not file.is_relative_to(campaign.folder):
+        elif not is_inside_folder(file, campaign.folder):
             problems.append(
                 f"{key}: {file} is outside the campaign folder, where a simulation must not "
                 "write; choose a file in the folder of the description"
