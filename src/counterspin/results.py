@@ -109,6 +109,43 @@ class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of froze
         return [name for name in names if name[0] != "_" and not name.isupper()]
 
 
+#: Classes of all results: module and class.
+RESULT_CLASSES: Final = (
+    "calibration.result:Result",
+    "planning.result:PlanResult",
+    "studies.result:StudyResult",
+    "histories.result:History",
+    "acceleration_standard.result:AppliedAcceleration",
+    "operating_tests.result:OperatingTests",
+    "comparisons.result:ResultComparison",
+    "comparisons.result:RepeatedCalibration",
+    "comparisons.result:Intercomparison",
+    "monitoring.result:CheckedRun",
+    "monitoring.result:WatchState",
+    "monitoring.result:NoiseResult",
+    "calibration.batch:BatchResult",
+    "validation.page:Dossier",
+    "reproduction.plan:Reproduction",
+)
+
+
+def _required_keys(result_class: type[ResultFile]) -> set[str]:
+    """Return the keys that every file of a class has."""
+    fields = result_class.model_fields.items()
+    return {field.alias or name for name, field in fields if field.is_required()}
+
+
+def _detect_kind(document: object) -> str | None:
+    """Return the kind of a result, detected from its keys; None if it is unknown."""
+    if not isinstance(document, dict):
+        return None
+    for name in RESULT_CLASSES:
+        result_class: type[ResultFile] = load_name(f"counterspin.{name}")
+        if _required_keys(result_class) <= set(document):
+            return result_class.KIND
+    return None
+
+
 class ResultFile(ResultPart):
     """The result of a command, as one JSON document.
 
@@ -199,8 +236,7 @@ class ResultFile(ResultPart):
     @classmethod
     def file_kind(cls) -> FileType:
         """Return the type of the files of this class, which are recognised by required keys."""
-        fields = cls.model_fields.items()
-        required_keys = {field.alias or name for name, field in fields if field.is_required()}
+        required_keys = _required_keys(cls)
 
         def recognises(path: Path) -> bool:
             try:
@@ -264,6 +300,11 @@ class ResultFile(ResultPart):
         try:
             result = cls.model_validate(document)
         except ValidationError as error:
+            if (kind := _detect_kind(document)) not in (None, cls.KIND):
+                raise RecordError(
+                    f"{path}: the file of a {kind}, not of a {cls.KIND}; {advice}",
+                    code="wrong-document",
+                ) from error
             first_error = error.errors()[0]
             key_path = "".join(f"{key}: " for key in first_error["loc"])
             problem = _PLAIN_MESSAGES.get(first_error["type"], first_error["msg"])

@@ -230,6 +230,21 @@ def test_outputs_must_be_different_files(words, message, work_folder, capsys):
     assert not list(work_folder.glob("x.*"))
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["compare", "r.json", "history.json"],
+        ["rerun", "history.json"],
+        ["export", "history.json", "-o", "x.csv"],
+        ["certificate", "history.json", "LAB.toml", "-o", "x.xml"],
+    ],
+)
+def test_other_kind_of_result_is_named(words, work_folder, capsys):
+    assert cli.main(words) == 1
+    message = "history.json: the file of a history, not of a result; give the JSON file of a result"
+    assert capsys.readouterr().err == f"counterspin: {message}\n"
+
+
 def test_ledger_is_unchanged_if_a_result_cannot_be_read(work_folder, capsys):
     words = ["ledger", "add", "l.jsonl", "r.json", "none.json", "--who", "A. Erste", "--why"]
     assert cli.main([*words, "yearly"]) == 1

@@ -29,7 +29,7 @@ class BatchResult(ReportableResult):
     """Results and errors of campaigns, by folder as named."""
 
     BLOCKS: ClassVar[str] = "counterspin.calibration.pages.document:batch_blocks"
-    KIND: ClassVar[str] = "batch"
+    KIND: ClassVar[str] = "summary of several campaigns"
 
     campaigns: dict[str, Result | FailedCampaign]
 

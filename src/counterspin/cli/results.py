@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Literal
 
 from counterspin.cli.common import (
     NO_RESULT_FILE,
@@ -16,28 +15,10 @@ from counterspin.cli.common import (
     require_distinct_files,
 )
 from counterspin.errors import CounterspinError, UsageError
+from counterspin.loading import load_name
 
 if TYPE_CHECKING:
     from counterspin.results import ReportableResult
-
-
-#: Results that commands write with --json, except calibrations: module and class.
-_RESULT_CLASSES: Final = (
-    ("planning.result", "PlanResult"),
-    ("studies.result", "StudyResult"),
-    ("histories.result", "History"),
-    ("acceleration_standard.result", "AppliedAcceleration"),
-    ("operating_tests.result", "OperatingTests"),
-    ("comparisons.result", "ResultComparison"),
-    ("comparisons.result", "RepeatedCalibration"),
-    ("comparisons.result", "Intercomparison"),
-    ("monitoring.result", "CheckedRun"),
-    ("monitoring.result", "WatchState"),
-    ("monitoring.result", "NoiseResult"),
-    ("calibration.batch", "BatchResult"),
-    ("validation.page", "Dossier"),
-    ("reproduction.plan", "Reproduction"),
-)
 
 
 @command
@@ -97,11 +78,10 @@ def report(
 def _detect_result_class(path: Path) -> type[ReportableResult]:
     """Return the class of a result file; `Result` if unknown, for its error message."""
     from counterspin.calibration.result import Result
+    from counterspin.results import RESULT_CLASSES
 
-    if Result.file_kind().recognises(path):
-        return Result
-    for module, name in _RESULT_CLASSES:
-        result_class: type[ReportableResult] = getattr(import_module(f"counterspin.{module}"), name)
+    for name in RESULT_CLASSES:
+        result_class: type[ReportableResult] = load_name(f"counterspin.{name}")
         if result_class.file_kind().recognises(path):
             return result_class
     return Result
