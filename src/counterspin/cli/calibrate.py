@@ -78,9 +78,10 @@ class PrintOptions:
     Parameters
     ----------
     budget
-        Print the uncertainty budget of each coefficient (joint method).
+        Print the uncertainty budget of each coefficient (joint method). Single campaign only.
     details
-        Print all diagnostics: findings, tests of each run, rejected samples, correlations.
+        Print all diagnostics: findings, tests of each run, rejected samples, correlations. Single
+        campaign only.
     """
 
     budget: bool = False
