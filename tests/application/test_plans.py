@@ -174,6 +174,7 @@ def test_example_plan_is_created_and_other_file_type_rejected(page, folder):
     assert page.post("/api/plan", json={"name": "a.toml"}).is_success
     assert page.post("/api/plan", json={"name": "a.toml"}).status_code == 422
     assert page.post("/api/plan", json={"name": "a.csv"}).status_code == 422
+    assert page.post("/api/plan", json={"name": "my plan"}).json() == {"name": "my plan.toml"}
     query = {"name": "three/campaign.toml"}
     assert page.get("/api/plan", params=query).status_code == 422
 

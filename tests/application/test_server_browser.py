@@ -406,13 +406,21 @@ def test_pasted_readings_become_campaign(open_window, folder):
     tab.get_by_text("K_F").first.wait_for()
 
 
-def test_plan_search_starts_on_click_and_can_be_stopped(open_window, folder):
+def test_plan_search_starts_on_click_and_can_be_stopped(open_window, app, folder):
     example = write_example(folder / "PLAN.toml")
     example.write_text(replace_parts(example.read_text(), ("runs = 14", "runs = 2"), *PERFECT))
     tab = open_window("/plans")
     tab.get_by_role("link", name="A day at the centrifuge").click()
     search = tab.get_by_role("button", name="Calculate plan")
-    search.click()
+    # A reloaded page finds the search and its limits.
+    with app.jobs._run_lock:
+        tab.get_by_label("Highest rate").fill("0.5")
+        search.click()
+        tab.get_by_role("progressbar").wait_for()
+        tab.reload()
+        tab.get_by_role("progressbar").wait_for()
+        assert float(tab.get_by_label("Highest rate").input_value()) == pytest.approx(0.5)
+        tab.get_by_label("Highest rate").fill("1")
     tab.get_by_role("button", name="Stop").click()
     tab.get_by_text("The plan was stopped.").wait_for()
     search.click()

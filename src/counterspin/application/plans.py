@@ -126,6 +126,8 @@ def plan_overview(app: AppState, name: str) -> PlanOverview:
 
 def begin_plan(app: AppState, name: str, example: Example = "records") -> NameAnswer:
     """Write an example plan; CounterspinError if the file exists."""
+    if not Path(name).suffix:
+        name = f"{name}.toml"
     path = app.folder.path(name)
     if path.suffix.lower() != ".toml":
         raise RequestError(

@@ -25,7 +25,7 @@ const POLL_INTERVAL = 250;
 const MAX_EARLY_REQUESTS = 240;
 
 /** @param {Job} job */
-const isActive = ({ state }) => state === "waiting" || state === "running";
+export const isActive = ({ state }) => state === "waiting" || state === "running";
 
 /**
  * Follow the active job of a type, if there is one.

@@ -5,7 +5,7 @@ import { get, send } from "./api.js";
 import { attempt, commandLine, labelled, make, submitHandler, working } from "./dom.js";
 import { campaignAddress } from "./addresses.js";
 import { makeEditor } from "./editor.js";
-import { jobStarter, follow } from "./job.js";
+import { follow, isActive, jobStarter } from "./job.js";
 
 /** @param {string} name */
 const planAddress = (name) => `#/plan/${encodeURIComponent(name)}`;
@@ -21,8 +21,8 @@ export async function plansView() {
   const form = make("form", {
     class: "row",
     onsubmit: submitHandler(errorBox, async () => {
-      await send("POST", "plan", { name: name.value.trim(), example: example.value });
-      location.hash = planAddress(name.value.trim());
+      const response = await send("POST", "plan", { name: name.value.trim(), example: example.value });
+      location.hash = planAddress(response.name);
     }),
   }, labelled("Example file", name), labelled("Plan type", example), make("button", {}, "Write example"));
   return {
@@ -91,9 +91,14 @@ function timeField(id, limit, onChange) {
  * @param {string} name
  */
 export async function planView(name) {
-  const plan = await get("plan", { name });
+  const [plan, jobs] = await Promise.all([get("plan", { name }), get("jobs")]);
+  const limitsKey = `counterspin-limits-${name}`;
+  // The limits of a search that this window started before a reload.
+  const isSearching = jobs.some((job) => job.kind === "plan" && job.campaign === name && isActive(job));
+  const searchedLimits = isSearching ? sessionStorage.getItem(limitsKey) : null;
   /** @type {Record<string, number>} */
-  const movedLimits = {};
+  const movedLimits = JSON.parse(searchedLimits ?? "{}");
+  for (const limit of plan.limits) limit.value = movedLimits[limit.key] ?? limit.value;
   const planContainer = make("div");
   const status = make("p", { class: "quiet", role: "status" });
 
@@ -154,9 +159,11 @@ export async function planView(name) {
   const search = make("form", {
     onsubmit: submitHandler(planContainer, () => {
       status.textContent = "";
+      sessionStorage.setItem(limitsKey, JSON.stringify(movedLimits));
       return show({ ...movedLimits });
     }),
   }, make("div", { class: "sliders" }, ...sliders), make("button", { class: "main" }, "Calculate plan"));
+  if (searchedLimits !== null) setTimeout(() => show({ ...movedLimits }));
   const editorContainer = make("div");
   const fileDetails = make("details", {
     ontoggle: () => {
