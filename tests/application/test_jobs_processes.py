@@ -32,6 +32,13 @@ def fail_with(connection, kind):
     report_progress(connection, work)
 
 
+def fail_to_write(connection):
+    def work(_):
+        raise OSError(30, "Read-only file system", "x/y")
+
+    report_progress(connection, work)
+
+
 def run_forever(connection):
     report_progress(connection, lambda _: time.sleep(1000.0))
 
@@ -47,6 +54,7 @@ def test_worker_reports_progress_and_result():
     [
         (fail_with, (CounterspinError,), "in words"),
         (fail_with, (ValueError,), "internal error (ValueError: in words)"),
+        (fail_to_write, (), "x/y: the operating system reports: Read-only file system"),
         (exit, (), "the process ended unexpectedly, possibly because it ran out of memory"),
     ],
 )

@@ -102,6 +102,10 @@ def report_progress(connection: Connection, function: Callable[[ProgressCallback
             raise
         except CounterspinError as error:
             connection.send(("failed", str(error)))
+        except OSError as error:
+            name = f"{error.filename}: " if error.filename else ""
+            reason = f"{name}the operating system reports: {error.strerror or error}"
+            connection.send(("failed", reason))
         except Exception as error:
             connection.send(("failed", f"internal error ({type(error).__name__}: {error})"))
 
