@@ -32,7 +32,7 @@ def test_rejected_blocks_are_counted_in_samples(tmp_path):
 def make_report(outliers):
     return RecordReport(
         path=Path("r.csv"), rows=1000, used=900, repeated=3, differing=1, empty={"t": 1, "a": 2},
-        outliers={"a": outliers, "b": 4}, isolated=0, listed=(), gaps=(), gap_count=2,
+        outliers={"a": outliers, "b": 4}, isolated=0, listed=(), gaps=(), n_gaps=2,
         wrapped=False, step=0.1, rate=None, block=8,
     )  # fmt: skip
 

@@ -99,7 +99,7 @@ def test_repeated_rows_gaps_and_empty_cells_are_counted(tmp_path):
     for source in (write_record(tmp_path, t, f), make_table(t, f)):
         mean_result = mean_record(source, 0.0)
         report = mean_result.report
-        assert (report.rows, report.repeated, report.differing, report.gap_count) == (1001, 1, 0, 1)
+        assert (report.rows, report.repeated, report.differing, report.n_gaps) == (1001, 1, 0, 1)
         assert report.empty["f"] == 2
         assert report.gaps[0].length == pytest.approx(5.01)
         assert mean_result.samples == 998

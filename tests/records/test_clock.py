@@ -60,7 +60,7 @@ def test_gaps_are_accepted_and_listed(tmp_path):
         name: np.delete(values, slice(300, 450)) for name, values in simulate_columns().items()
     }
     record = read_written_record(write_record(tmp_path / "run.csv", columns))
-    assert record.report.gap_count == 1
+    assert record.report.n_gaps == 1
     assert record.report.gaps[0].time == pytest.approx(299 * 0.02)
     assert record.report.gaps[0].length == pytest.approx(151 * 0.02)
     np.testing.assert_array_equal(record.angle, columns[ANGLE])
@@ -107,7 +107,7 @@ def test_encoder_counts_near_gap_are_not_outliers(tmp_path):
     columns[ANGLE] = np.round(np.arange(1000) * 210.1) * count
     holed = {name: np.delete(values, [300, 700]) for name, values in columns.items()}
     record = read_written_record(write_record(tmp_path / "run.csv", holed), swings={})
-    assert record.report.gap_count == 2
+    assert record.report.n_gaps == 2
     assert record.report.outliers[ANGLE] == 0
 
 

@@ -115,9 +115,9 @@ def _update_state(result: Result) -> Result:
         known_keys = _keys(_flatten_explained(accelerometer.findings))
         candidates = list(check_credibility(max_limit, name, accelerometer.coefficients))
         if not result.sealed:
-            gravity, accelerometer_count = result.inputs.gravity, len(result.accelerometers)
+            gravity, n_accelerometers = result.inputs.gravity, len(result.accelerometers)
             candidates += _check_model(name, accelerometer, result)
-            candidates += check_statistics(name, accelerometer, gravity, accelerometer_count)
+            candidates += check_statistics(name, accelerometer, gravity, n_accelerometers)
         new_findings = [
             finding for finding in candidates if (finding.code, finding.subject) not in known_keys
         ]
@@ -279,7 +279,7 @@ def _subtract_nominal(coefficient: Coefficient, nominal: float) -> Coefficient:
 
 
 def check_statistics(
-    name: str, accelerometer: AccelerometerResult, gravity: float, accelerometer_count: int
+    name: str, accelerometer: AccelerometerResult, gravity: float, n_accelerometers: int
 ) -> Iterator[Finding]:
     """Yield findings from the residuals, the noise, the runs and the two-stage method.
 
@@ -287,13 +287,13 @@ def check_statistics(
     """
     known_keys = _keys(accelerometer.findings)
     if ("lack-of-fit", name) not in known_keys:
-        yield from _check_fit(name, accelerometer.residual, accelerometer_count)
+        yield from _check_fit(name, accelerometer.residual, n_accelerometers)
     yield from _check_noise(name, accelerometer, gravity)
     # If the residuals are much larger than the noise, all uncertainties are too small by this
     # ratio, which must not cause further findings.
     noise_ratio = _noise_ratio(accelerometer.residual) or 1.0
     noise_ratio = noise_ratio if noise_ratio > RESIDUAL_RATIO_LIMIT else 1.0
-    yield from _check_jackknife(name, accelerometer.jackknife, noise_ratio, accelerometer_count)
+    yield from _check_jackknife(name, accelerometer.jackknife, noise_ratio, n_accelerometers)
     if (two_stage := accelerometer.two_stage) is not None and not methods_agree(
         two_stage, noise_ratio
     ):
@@ -307,9 +307,9 @@ def check_statistics(
         )
 
 
-def _check_fit(name: str, residual: Residual, accelerometer_count: int) -> Iterator[Finding]:
+def _check_fit(name: str, residual: Residual, n_accelerometers: int) -> Iterator[Finding]:
     p = residual.lack_of_fit_p
-    if p is None or _is_acceptable_fit(residual, accelerometer_count):
+    if p is None or _is_acceptable_fit(residual, n_accelerometers):
         return
     ratio = _noise_ratio(residual)
     comparison_text = (
@@ -343,9 +343,9 @@ def not_determined_finding(
 
 def lack_of_fit_finding(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
     """Return the finding that the residuals of an accelerometer do not agree with its noise."""
-    remaining_count = len(sentences) - 1
+    n_remaining = len(sentences) - 1
     text = sentences[0] + (
-        f" (There are {remaining_count} more findings of this type.)" if remaining_count > 1 else ""
+        f" (There are {n_remaining} more findings of this type.)" if n_remaining > 1 else ""
     )
     p, ratio = residual.lack_of_fit_p, _noise_ratio(residual)
     # With few residuals, such as two readings, a large ratio may occur by chance.
@@ -364,12 +364,12 @@ def two_sided_z(p: float) -> float:
     return -normal_quantile(0.5 * max(p, 1e-300))
 
 
-def _is_acceptable_fit(residual: Residual, accelerometer_count: int = 1) -> bool:
+def _is_acceptable_fit(residual: Residual, n_accelerometers: int = 1) -> bool:
     """Return whether p is above the significance level, which all accelerometers share."""
     # With stated noise, chi-square shares the significance level with other tests.
     limit = SIGNIFICANCE if residual.chi2 is None else CHI_SQUARE_SIGNIFICANCE
     p = residual.lack_of_fit_p
-    return p is None or p >= limit / accelerometer_count
+    return p is None or p >= limit / n_accelerometers
 
 
 def _noise_ratio(residual: Residual) -> float | None:
@@ -398,15 +398,15 @@ def _check_noise(name: str, accelerometer: AccelerometerResult, g: float) -> Ite
 
 
 def _check_jackknife(
-    name: str, lines: Sequence[Jackknife], noise_ratio: float, accelerometer_count: int
+    name: str, lines: Sequence[Jackknife], noise_ratio: float, n_accelerometers: int
 ) -> Iterator[Finding]:
-    tested_count = sum(1 for line in lines if line.z is not None)
+    n_tested = sum(1 for line in lines if line.z is not None)
     worst_line = _largest_shift_line(lines)
     if worst_line is None or worst_line.z is None or worst_line.shift is None:
         return
     z = abs(worst_line.z) / noise_ratio
     equivalent_z = normal_equivalent(z, worst_line.dof)
-    if equivalent_z <= agreement_limit(tested_count * accelerometer_count):
+    if equivalent_z <= agreement_limit(n_tested * n_accelerometers):
         return
     unit, factor = find_display_unit("g/g^2")
     yield Finding(

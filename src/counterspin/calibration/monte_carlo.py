@@ -210,10 +210,10 @@ def shortest_interval(errors: Array) -> tuple[float, float]:
     shortest interval is then random.
     """
     sorted_errors = np.sort(errors)
-    covered_count = math.ceil(COVERAGE * errors.size)
-    lengths = sorted_errors[covered_count:] - sorted_errors[: errors.size - covered_count]
+    n_covered = math.ceil(COVERAGE * errors.size)
+    lengths = sorted_errors[n_covered:] - sorted_errors[: errors.size - n_covered]
     start_index = int(np.argmin(lengths))
-    symmetric_start = (errors.size - covered_count) // 2
+    symmetric_start = (errors.size - n_covered) // 2
     if lengths[symmetric_start] < _MAX_LENGTH_RATIO * lengths[start_index]:
         start_index = symmetric_start
-    return float(sorted_errors[start_index]), float(sorted_errors[start_index + covered_count])
+    return float(sorted_errors[start_index]), float(sorted_errors[start_index + n_covered])

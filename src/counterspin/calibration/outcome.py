@@ -159,12 +159,12 @@ def summarize_residuals(view: AccelerometerView) -> Residual:
     """Return rms and goodness of fit of the residuals of an accelerometer."""
     if not view.has_records:
         return summarize_group_residuals(view.groups)
-    square_sum, sample_count, diagnostics = 0.0, 0.0, view.diagnostics
+    square_sum, n_samples, diagnostics = 0.0, 0.0, view.diagnostics
     for _, block, residuals in view.records():
         square_sum += float(np.sum(residuals.unweighted**2 * block.series.count))
-        sample_count += residuals.unweighted.size
+        n_samples += residuals.unweighted.size
     return Residual(
-        rms=math.sqrt(square_sum / sample_count),
+        rms=math.sqrt(square_sum / n_samples),
         unit=OBSERVABLES[view.accelerometer.observable],
         dof=diagnostics.dof,
         chi2=diagnostics.chi2 if diagnostics.noise_given else None,
@@ -394,10 +394,10 @@ def make_run_result(
 
 
 def check_outlier_share(
-    subject: str, counts: Mapping[str, int], accelerometer_count: int = 1
+    subject: str, counts: Mapping[str, int], n_accelerometers: int = 1
 ) -> list[Finding]:
     """Return a finding if the fraction of outliers exceeds `MAX_OUTLIER_SHARE`."""
-    n_samples = counts["rows"] * accelerometer_count
+    n_samples = counts["rows"] * n_accelerometers
     share = counts["outliers"] / n_samples
     if share <= MAX_OUTLIER_SHARE:
         return []

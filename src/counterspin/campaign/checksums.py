@@ -94,8 +94,8 @@ class Checksums:
             with self._slots, open_file(path) as file:
                 identity_before = FileIdentity.from_file(file.fileno())
                 buffer = memoryview(bytearray(_BUFFER_BYTES))
-                while (byte_count := file.readinto(buffer)) and not self._cancelled.is_set():
-                    digest.update(buffer[:byte_count])
+                while (n_bytes := file.readinto(buffer)) and not self._cancelled.is_set():
+                    digest.update(buffer[:n_bytes])
                 identity_after = FileIdentity.from_file(file.fileno())
         except OSError:
             # The reader of the record reports the error with more detail.

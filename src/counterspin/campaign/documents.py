@@ -265,9 +265,9 @@ _SYNTAX_ERRORS: Final = (
 def _explain_syntax_error(message: str, location: str, text: str) -> str:
     """Return the message of the TOML parser in plain words, with the action to take."""
     if location == "end of document":
-        line_count = text.rstrip().count("\n") + 1
+        n_lines = text.rstrip().count("\n") + 1
         return (
-            f"line {line_count}: the file ends within a key, a value or a table; complete it, or "
+            f"line {n_lines}: the file ends within a key, a value or a table; complete it, or "
             "close the quotation mark or bracket that is open"
         )
     if message.startswith("Cannot declare"):

@@ -102,7 +102,7 @@ class MeasurementSetup:
     grades: Mapping[str, str]  #: Accelerometer -> grade.
     attitudes: Sequence[Array]  #: Attitudes of the runs with records, shape (3, 3) each.
     readings: Sequence[Reading]  #: Readings at known attitudes.
-    pose_count: int  #: Number of poses at unknown attitudes.
+    n_poses: int  #: Number of poses at unknown attitudes.
     #: The centrifuge, if there is one; its stretch, droop and tilt are priors.
     centrifuge: CentrifugeSettings | None
     positioning_error: Quantity | None  #: Angular error of a position at rest; None: not stated.
@@ -111,7 +111,7 @@ class MeasurementSetup:
     @property
     def has_readings(self) -> bool:
         """True if there are readings, at known or unknown attitudes."""
-        return bool(self.readings or self.pose_count or not self.is_complete)
+        return bool(self.readings or self.n_poses or not self.is_complete)
 
     @cached_property
     def observable_terms(self) -> tuple[str, ...]:
@@ -121,7 +121,7 @@ class MeasurementSetup:
             if self.has_readings
             else ()
         )
-        if not self.pose_count:
+        if not self.n_poses:
             return terms
         # A pose shows only errors of the accelerometers themselves.
         slopes = (
@@ -136,11 +136,11 @@ class MeasurementSetup:
         if not self.has_readings or self.attitudes or "counter-rotating" in motions:
             return DEFAULT_TERMS
         terms = _TERMS_AT_REST if motions <= {"static"} else MACHINE_TERMS
-        if self.pose_count >= _MIN_POSES_FOR_ANGLES:
+        if self.n_poses >= _MIN_POSES_FOR_ANGLES:
             return (*terms, "delta_O", "delta_P")
         return (*terms, *self._misalignments(len(terms)))
 
-    def _misalignments(self, term_count: int) -> list[str]:
+    def _misalignments(self, n_terms: int) -> list[str]:
         """Return the misalignments that the positions at rest can determine.
 
         An instrument on a fixture is always misaligned; without these terms the fit would be poor.
@@ -149,7 +149,7 @@ class MeasurementSetup:
         for symbol, axis in (("delta_O", 1), ("delta_P", 2)):
             rest_readings = (reading for reading in self.readings if reading.motion == "static")
             z_components = {round(reading.axes.matrix[axis][2], 6) for reading in rest_readings}
-            if len(z_components) > 1 and len(self.readings) > term_count + len(symbols) + 1:
+            if len(z_components) > 1 and len(self.readings) > n_terms + len(symbols) + 1:
                 symbols.append(symbol)
         return symbols
 

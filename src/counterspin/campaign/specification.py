@@ -179,7 +179,7 @@ def resolve_specifications(
     gravity: Gravity of the site, m/s^2.
     """
     path = ("specification",)
-    problem_count = len(problems.lines)
+    n_problems = len(problems.lines)
     keys = Specifications.model_fields
     rule = problems.check(Specifications, {key: raw[key] for key in raw if key in keys}, path)
     tables = {key: value for key, value in raw.items() if isinstance(value, Mapping)}
@@ -200,17 +200,17 @@ def resolve_specifications(
                 "unknown-accelerometer",
             )
         own_terms[name] = _parse_terms(tables[name], (*path, name), list(TERMS), problems, gravity)
-    if not common_terms and not any(own_terms.values()) and len(problems.lines) == problem_count:
+    if not common_terms and not any(own_terms.values()) and len(problems.lines) == n_problems:
         problems.add(
             path,
             f"contains no term; write, for example, K_II = {_SPECIFICATION_FORMS.split(',')[0]}",
             "missing-value",
         )
-    if rule is None or len(problems.lines) > problem_count:
+    if rule is None or len(problems.lines) > n_problems:
         return None
     terms = {name: {**common_terms, **own_terms.get(name, {})} for name in accelerometers}
     processes = _resolve_processes(rule.process, terms, path, problems, gravity)
-    if len(problems.lines) > problem_count:
+    if len(problems.lines) > n_problems:
         return None
     return rule.replace_private(
         terms={

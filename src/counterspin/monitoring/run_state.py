@@ -90,7 +90,7 @@ def report_fields(report: RecordReport, time: Array) -> dict[str, Any]:
         "repeated": report.repeated,
         "empty": sum(report.empty.values()),
         "outliers": sum(report.outliers.values()),
-        "gaps": report.gap_count,
+        "gaps": report.n_gaps,
         "longest_gap": max((gap.length for gap in report.gaps), default=0.0),
     }
 

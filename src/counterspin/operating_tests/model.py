@@ -82,8 +82,8 @@ def fit_line(inputs: Array, outputs: Array) -> Line:
     """
     _require_finite_squares(inputs, outputs)
     settings = group_inputs(inputs)
-    setting_count = int(settings.max(initial=-1)) + 1
-    if inputs.size < 3 or setting_count < 2:
+    n_settings = int(settings.max(initial=-1)) + 1
+    if inputs.size < 3 or n_settings < 2:
         raise ValueError("a straight line requires at least three points at two or more inputs")
     centred_inputs = inputs - inputs.mean()
     square_sum = float(centred_inputs @ centred_inputs)
@@ -125,16 +125,16 @@ def hysteresis_error(line: Line, inputs: Array, outputs: Array) -> OperatingEsti
     In input units, upwards minus downwards. None: no input was approached from both directions.
     """
     settings, directions = group_inputs(inputs), input_directions(inputs)
-    setting_count = int(settings.max()) + 1
+    n_settings = int(settings.max()) + 1
     n_up, n_down = (
-        np.bincount(settings[mask], minlength=setting_count)
+        np.bincount(settings[mask], minlength=n_settings)
         for mask in (directions > 0, directions < 0)
     )
     common_settings = np.flatnonzero((n_up > 0) & (n_down > 0))
     if not common_settings.size:
         return None
     up_mean, down_mean = (
-        np.bincount(settings[mask], outputs[mask], minlength=setting_count)[common_settings]
+        np.bincount(settings[mask], outputs[mask], minlength=n_settings)[common_settings]
         / counts[common_settings]
         for mask, counts in ((directions > 0, n_up), (directions < 0, n_down))
     )

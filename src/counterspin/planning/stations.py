@@ -298,10 +298,10 @@ def _add_poses(
     return replace(campaign, triad=triad), existing_campaign.triad.poses
 
 
-def _relabel_run_problem(line: str, run_count: int) -> str:
+def _relabel_run_problem(line: str, n_runs: int) -> str:
     """Return the message of a problem with a candidate's run as a problem of the stations."""
     match = re.match(r"runs\[(\d+)\]", line)
-    if match is None or int(match[1]) < run_count:
+    if match is None or int(match[1]) < n_runs:
         return line
     return f"stations{line[match.end() :]}"
 

@@ -40,7 +40,7 @@ def read_readings(
     """
     problems, accelerometers = reader.problems, reader.accelerometers
     mountings = {name: accelerometers.mountings.get(name) for name in accelerometers.tables}
-    folder, error_count = reader.file.parent, len(problems.lines)
+    folder, n_errors = reader.file.parent, len(problems.lines)
     checksums: dict[Path, str] = {}
     entries = _reading_entries(reader, checksums)
     resolve = partial(
@@ -59,7 +59,7 @@ def read_readings(
     records = reader.sections.get("records")
     if records and records.recording.angle is not None:
         readings = mark_recorded_angles(readings)
-    is_valid = len(problems.lines) == error_count
+    is_valid = len(problems.lines) == n_errors
     section = table_of(reader.raw, "records")
     pose_entries = [
         (_merge_records_section(raw, path, section, problems), path)

@@ -173,10 +173,10 @@ def collect_readings(
         if any(math.isnan(reading.value) for reading in run_readings):
             blank_paths.append((*path, "reading"))
     if blank_paths and turns is None:
-        other_count = len(blank_paths) - 1
+        n_others = len(blank_paths) - 1
         others_text = ""
-        if other_count:
-            others = "another reading has" if other_count == 1 else f"{other_count} others have"
+        if n_others:
+            others = "another reading has" if n_others == 1 else f"{n_others} others have"
             others_text = f", and {others} none either"
         message = f"has no value yet{others_text}; enter the reading, or add [truth] to simulate it"
         problems.add(blank_paths[0], message, "missing-value")
@@ -233,7 +233,7 @@ def _resolve_run(
     gravity: float,
 ) -> Sequence[Reading]:
     """Return the readings of a run; none if the run is invalid."""
-    error_count = len(problems.lines)
+    n_errors = len(problems.lines)
     units = {name: output.unit if output else "g" for name, output in outputs.items()}
     run, invalid_keys = problems.validate_partial(
         Run, raw, path, folder=folder, units=units, gravity=gravity
@@ -248,7 +248,7 @@ def _resolve_run(
         axes = problems.collect(path, _resolve_axes, run, mountings[name])
         if value is not None and axes is not None:
             readings.append(_make_reading(run, name, value, axes))
-    return readings if len(problems.lines) == error_count else ()
+    return readings if len(problems.lines) == n_errors else ()
 
 
 def _set_duration(reading: Reading, turns: float | None) -> Reading:

@@ -205,7 +205,7 @@ def _solve(
     # shift similar parameters far from their priors.
     variance = None
     is_single_group = records is None and len(readings) == 1
-    free_count = sum(math.isinf(unknown.prior[1]) for unknown in unknowns) if is_single_group else 0
+    n_free = sum(math.isinf(unknown.prior[1]) for unknown in unknowns) if is_single_group else 0
     pose_accelerometers = {name for group in readings for name in group.triad}
     pose_indices = [
         index
@@ -233,7 +233,7 @@ def _solve(
                     fit.solution_with_considered,
                     Unknowns(model.unknowns),
                     previous_noise,
-                    free_count,
+                    n_free,
                 )
                 for group, linear, previous_noise in zip(
                     readings, relaxed_groups, previous, strict=True
@@ -341,18 +341,18 @@ def _update_noise(
     solution: Solution,
     model: Unknowns,
     previous_noise: float,
-    free_count: int,
+    n_free: int,
 ) -> float:
     """Return an update of the noise from the residuals; its fixed point is the REML estimate.
 
-    free_count: Number of unknowns that only the group determines.
+    n_free: Number of unknowns that only the group determines.
     """
     if group.u is not None:
         return 1.0
     complements = 1.0 - linear_group.leverages(solution)
     repeat_dof = group.repeat_dof
     if reason := group.insufficient_noise_message(
-        float(complements.sum()) + repeat_dof, free_count, solution, model
+        float(complements.sum()) + repeat_dof, n_free, solution, model
     ):
         raise NotIdentifiableError(reason)
     # The head's variance is known; each reading counts with the noise share of its variance.

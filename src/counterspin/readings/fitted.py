@@ -146,10 +146,10 @@ class FittedReadings:
         positions = evaluate_positions(
             linear, [*single_readings, *group.replicates], solution, model, noise
         )
-        outlier_count = sum(position.p < significance(positions) for position in positions)
+        n_outliers = sum(position.p < significance(positions) for position in positions)
         return replace(
             self,
-            gross_errors=_gross_errors(linear, fit, positions) if outlier_count > 1 else (),
+            gross_errors=_gross_errors(linear, fit, positions) if n_outliers > 1 else (),
             linear=linear,
             residual_dof=linear.residual_dof(solution),
             residuals=linear.residuals(solution, model),

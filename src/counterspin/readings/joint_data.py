@@ -319,11 +319,11 @@ def _variance_share(rows: np.ndarray, total_variance: float) -> float:
 def _check_values(campaign: Campaign) -> None:
     empty_names = [reading.name for reading in campaign.all_readings if math.isnan(reading.value)]
     if empty_names:
-        other_count = len(empty_names) - 1
+        n_others = len(empty_names) - 1
         subject = {
             0: f'"{empty_names[0]}" has',
             1: f'"{empty_names[0]}" and another reading have',
-        }.get(other_count, f'"{empty_names[0]}" and {other_count} other readings have')
+        }.get(n_others, f'"{empty_names[0]}" and {n_others} other readings have')
         raise CampaignError(
             str(campaign.path),
             [

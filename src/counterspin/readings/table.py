@@ -181,12 +181,12 @@ class ReadingsTable:
         locations: Locations of the rows; None: the rows are counted.
         """
         problems = self.problems
-        error_count, mountings = len(problems.lines), self.settings.mountings.values()
+        n_errors, mountings = len(problems.lines), self.settings.mountings.values()
         if any(entry.reading for entry in mountings):
             self._check_mounting_columns(names)
         else:
             self.check_columns(names)
-        if len(problems.lines) > error_count:
+        if len(problems.lines) > n_errors:
             return
         mounting, last_mounting = self.columns.get("mounting"), None
         mounting = mounting if self.settings.merged else None
@@ -195,7 +195,7 @@ class ReadingsTable:
                 continue
             location = f"row {index + 1}" if locations is None else locations[index]
             path: KeyPath = ("readings", f"{self.settings.file} {location}")
-            error_count = len(problems.lines)
+            n_errors = len(problems.lines)
             if any(isinstance(cell, str) and len(cell) > _MAX_CHARACTERS for cell in row.values()):
                 problems.add(
                     path, f"a cell has more than {_MAX_CHARACTERS} characters", "file-too-large"
@@ -209,7 +209,7 @@ class ReadingsTable:
                 new_runs.append(view.make_run(cells, index, path))
                 if view is not self:
                     new_runs[-1]["name"] += f", {view.settings.mounting}"
-            if len(problems.lines) == error_count:
+            if len(problems.lines) == n_errors:
                 yield from ((run, path) for run in new_runs)
 
     def is_reading_row(self, row: Mapping[str, Any]) -> bool:
@@ -348,9 +348,9 @@ class ReadingsTable:
             )
             self.problems.add(("readings", "mountings"), message)
             return
-        error_count = len(self.problems.lines)
+        n_errors = len(self.problems.lines)
         self.mounting_views({})[0].check_columns(names)
-        if len(self.problems.lines) > error_count:
+        if len(self.problems.lines) > n_errors:
             return
         self._check_existence(
             [

@@ -105,18 +105,18 @@ class ArrayFile(ColumnFile):
         } | short_names
         self.names, self._single_values, self._column_indices = [], [], {}
         for name, path in list(self._paths.items()):
-            column_count = _column_count(shapes[path])
+            n_columns = _column_count(shapes[path])
             columns = (
                 [name]
-                if column_count == 1
-                else [f"{name}{separator}{index + 1}" for index in range(column_count)]
+                if n_columns == 1
+                else [f"{name}{separator}{index + 1}" for index in range(n_columns)]
             )
-            if column_count > 1:
+            if n_columns > 1:
                 self._paths |= dict.fromkeys(columns, path)
                 self._column_indices |= {column: index for index, column in enumerate(columns)}
             if name in short_names:
                 self.names += columns
-                self._single_values += [name] if column_count == 0 else []
+                self._single_values += [name] if n_columns == 0 else []
 
     def single_numbers(self) -> dict[str, float]:
         """Return name -> number of the arrays with a single value."""
@@ -137,9 +137,9 @@ class ArrayFile(ColumnFile):
             shape = self._shape(name)
             if shape is not None and name in self._column_indices:
                 shape = (max(shape),)
-            value_count = 0 if shape is None else int(np.prod(shape, dtype=object))
+            n_values = 0 if shape is None else int(np.prod(shape, dtype=object))
             # HDF5 has empty datasets, whose shape is None.
-            if shape is None or value_count != max(shape, default=0):
+            if shape is None or n_values != max(shape, default=0):
                 columns = [
                     column
                     for column in self._column_indices
@@ -153,7 +153,7 @@ class ArrayFile(ColumnFile):
                     ),
                     code="wrong-shape",
                 )
-            lengths[name] = value_count
+            lengths[name] = n_values
         if len(set(lengths.values())) > 1:
             name_list = ", ".join(f"'{name}' {length}" for name, length in lengths.items())
             raise RecordError(

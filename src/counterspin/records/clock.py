@@ -72,7 +72,7 @@ class ClockFindings:
     implausible_angles: int = 0
     outlier_rows: list[int] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
-    gap_count: int = 0
+    n_gaps: int = 0
     wrapped: bool = False
 
 
@@ -195,14 +195,14 @@ class Clock:
             and max_advance <= typical_advance + tolerance
         ):
             misfit_indices = np.flatnonzero(np.abs(angle_advance - typical_advance) > tolerance)
-            wrap_count = np.round((typical_advance - angle_advance[misfit_indices]) / _REVOLUTION)
+            n_wraps = np.round((typical_advance - angle_advance[misfit_indices]) / _REVOLUTION)
             if not (
-                np.abs(angle_advance[misfit_indices] + _REVOLUTION * wrap_count - typical_advance)
+                np.abs(angle_advance[misfit_indices] + _REVOLUTION * n_wraps - typical_advance)
                 <= tolerance
             ).all():
                 return None
             wrap_indices = np.append(wrap_indices, misfit_indices + 1)
-            turns = np.append(turns, np.cumsum(wrap_count))
+            turns = np.append(turns, np.cumsum(n_wraps))
         if not math.isnan(self._last_time):
             expected_angle = self._last_angle + self.rate * elapsed
             previous_turns = float(np.round((expected_angle - angle[0]) / _REVOLUTION))
@@ -297,7 +297,7 @@ class Clock:
                     "a gap too long for the rotation to be tracked. End the record before the gap.",
                     "time-gap",
                 )
-            self.findings.gap_count += 1
+            self.findings.n_gaps += 1
             if len(self.findings.gaps) < MAX_LISTED_ROWS:
                 self.findings.gaps.append(Gap(float(time[index]) - duration, duration))
 
@@ -422,9 +422,9 @@ def _step_tolerance(misfits: np.ndarray, angle: np.ndarray) -> float:
         # An encoder step recurs, a jump does not: a jump must not widen its own tolerance.
         encoder_step = min(encoder_step, _ENCODER_STEP_RAD)
     # Near a gap, or with an uneven clock, deviations may be smaller than the encoder step.
-    rare_count = int(_COMMON_FRACTION * len(magnitudes)) + 4
-    if rare_count < len(magnitudes):
-        largest_common_misfit = float(np.partition(magnitudes, -rare_count)[-rare_count])
+    n_rare_misfits = int(_COMMON_FRACTION * len(magnitudes)) + 4
+    if n_rare_misfits < len(magnitudes):
+        largest_common_misfit = float(np.partition(magnitudes, -n_rare_misfits)[-n_rare_misfits])
         encoder_step = max(encoder_step, min(largest_common_misfit, _ENCODER_STEP_RAD))
     return (
         _RESIDUAL_SDS * MAD_TO_SIGMA * upper_median(magnitudes) + 3 * encoder_step + rounding_error

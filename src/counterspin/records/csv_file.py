@@ -178,10 +178,10 @@ class CsvFile(ColumnFile):
         )
         last_lines = [self._decode(line) for line in footer_candidates[-MAX_FOOTER_LINES:]]
         lines = [*body_lines[:_BODY_LINES], *last_lines]
-        footer_count = count_footer_lines(
+        n_footer_lines = count_footer_lines(
             [split_cells(line, self.delimiter) for line in lines], self.decimal
         )
-        return tuple(lines[len(lines) - footer_count :])
+        return tuple(lines[len(lines) - n_footer_lines :])
 
     def _drop_footer(self, count: int) -> None:
         """Remove lines from the end of the content."""
@@ -491,16 +491,16 @@ class CsvFile(ColumnFile):
                     code="malformed-table",
                 )
             elif not quote_line and line.count(self.delimiter) >= len(self.names):
-                cell_count = len(split_cells(line, self.delimiter))
-                if cell_count > len(self.names):
+                n_cells = len(split_cells(line, self.delimiter))
+                if n_cells > len(self.names):
                     hint = ""
-                    if self.delimiter == "," and cell_count == 2 * len(self.names):
+                    if self.delimiter == "," and n_cells == 2 * len(self.names):
                         hint = (
                             " Commas serve both as cell delimiters and as decimal separators; "
                             "export the file with semicolons or tabs."
                         )
                     raise RecordError(
-                        f"{self.path}, line {line_number}: the line has {cell_count} cells, but "
+                        f"{self.path}, line {line_number}: the line has {n_cells} cells, but "
                         f"the header row has {len(self.names)} names.{hint}",
                         code="malformed-table",
                     )

@@ -130,10 +130,10 @@ def count_footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> in
     is_first_rising = all(is_time[: last_time + 1]) and all(
         float(previous) < float(following) for previous, following in pairwise(times)
     )
-    footer_count = 0
+    n_footer_lines = 0
     for index, cells in enumerate(reversed(split_lines[-MAX_FOOTER_LINES:]), 1):
         if not any(cells) or cells[0].startswith("#"):
-            footer_count += index == footer_count + 1 and footer_count > 0
+            n_footer_lines += index == n_footer_lines + 1 and n_footer_lines > 0
             continue
         is_row = all(_is_row_cell(cells[n], decimal) for n in numeric_columns if n < len(cells))
         is_row = is_row and any(
@@ -149,8 +149,8 @@ def count_footer_lines(split_lines: Sequence[Sequence[str]], decimal: str) -> in
         )
         if is_row and not _RESULT_LABEL.fullmatch(cells[0]):
             break
-        footer_count = index
-    return footer_count if footer_count < len(split_lines) - _MIN_ROWS else 0
+        n_footer_lines = index
+    return n_footer_lines if n_footer_lines < len(split_lines) - _MIN_ROWS else 0
 
 
 def _is_row_cell(cell: str, decimal: str) -> bool:

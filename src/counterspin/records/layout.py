@@ -200,9 +200,9 @@ def is_plain_format(lines: Sequence[Line]) -> bool:
     delimiter = max(SINGLE_DELIMITERS, key=lines_with_text[0].count)
     names = split_cells(lines_with_text[0], delimiter)
     width = len(names)
-    named_count = sum(bool(name) and name.lower() != "comment" for name in names)
+    n_named = sum(bool(name) and name.lower() != "comment" for name in names)
     rows = [split_cells(line, delimiter) for line in lines_with_text[1 : 1 + _PLAIN_ROWS]]
-    if _is_row(names, ".") or max(map(len, rows)) < named_count:
+    if _is_row(names, ".") or max(map(len, rows)) < n_named:
         return False
     return all(len(row) <= width and _is_row(row, ".") for row in rows)
 

@@ -95,7 +95,7 @@ class _WindowsJob:
     def __init__(self) -> None:
         self._job: Any = None
 
-    def limit(self, seconds: float, byte_count: int) -> None:
+    def limit(self, seconds: float, n_bytes: int) -> None:
         """Limit the additional processor time, s, and the additional memory, bytes.
 
         Windows terminates a process after its time, and denies memory beyond the limit.
@@ -114,7 +114,7 @@ class _WindowsJob:
         kernel32.K32GetProcessMemoryInfo(process, ctypes.byref(counters), counters.cb)
         limits = _JobLimits()
         limits.PerProcessUserTimeLimit = int(_TICKS_PER_SECOND * (os.times().user + seconds))
-        limits.ProcessMemoryLimit = counters.PagefileUsage + byte_count
+        limits.ProcessMemoryLimit = counters.PagefileUsage + n_bytes
         limits.LimitFlags = _LIMIT_PROCESS_TIME | _LIMIT_PROCESS_MEMORY
         kernel32.SetInformationJobObject(
             self._job, _EXTENDED_LIMITS, ctypes.byref(limits), ctypes.sizeof(limits)

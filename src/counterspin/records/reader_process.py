@@ -334,14 +334,14 @@ def _handle_request(message: bytes) -> tuple[Any] | BaseException:
         return error
 
 
-def _read_exactly(stream: Any, byte_count: int) -> bytes:
+def _read_exactly(stream: Any, n_bytes: int) -> bytes:
     chunks = []
-    while byte_count:
-        chunk = stream.read(byte_count)
+    while n_bytes:
+        chunk = stream.read(n_bytes)
         if not chunk:
             raise EOFError
         chunks.append(chunk)
-        byte_count -= len(chunk)
+        n_bytes -= len(chunk)
     return b"".join(chunks)
 
 

@@ -224,14 +224,14 @@ class _RecordReader:
             if not self._motion.has_constant_input:
                 self._sums.add([columns[spec.name] for spec in self._signals])
             first_row, stop_row = self._row_range(columns, time_range)
-            excluded_count = rows - (stop_row - first_row)
+            n_excluded = rows - (stop_row - first_row)
             out_of_range = (
                 rows - _row_count(*self._row_range(columns, self._columns.time_range))
-                if excluded_count
+                if n_excluded
                 else 0
             )
             self._rows_outside += out_of_range
-            self._isolated_rows += excluded_count - out_of_range
+            self._isolated_rows += n_excluded - out_of_range
             if first_row < stop_row:
                 used_rows = slice(first_row, stop_row)
                 used_columns = {name: column[used_rows] for name, column in columns.items()}
@@ -380,10 +380,10 @@ class _RecordReader:
                 "subtract the first value.",
                 code="value-out-of-range",
             )
-        differing_count = self._clock.findings.differing
-        if differing_count > MAX_REPEATED_TIMES * self._rows:
+        n_differing = self._clock.findings.differing
+        if n_differing > MAX_REPEATED_TIMES * self._rows:
             raise RecordError(
-                f"{self._file.path}: {differing_count} of {self._rows} rows have the same time "
+                f"{self._file.path}: {n_differing} of {self._rows} rows have the same time "
                 "as the previous row, but different values. If no row is missing, state "
                 "`sampling_rate`.",
                 code="repeated-times",
@@ -563,7 +563,7 @@ class _RecordReader:
             isolated=self._isolated_rows,
             listed=tuple(listed_outliers),
             gaps=tuple(Gap(gap.time + self._start_time, gap.length) for gap in findings.gaps),
-            gap_count=findings.gap_count,
+            n_gaps=findings.n_gaps,
             wrapped=findings.wrapped,
             step=self._clock.step,
             rate=rate,

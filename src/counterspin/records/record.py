@@ -64,7 +64,7 @@ class RecordReport:
     listed: tuple[Outlier, ...]  #: The first outliers, at most 100 for each column.
     #: The first hundred gaps, and the number of gaps.
     gaps: tuple[Gap, ...]
-    gap_count: int
+    n_gaps: int
     wrapped: bool  #: Whether the angle was unwrapped.
     #: Typical time step, s; rate of the recorded angle, rad/s (None without an angle).
     step: float
@@ -80,7 +80,7 @@ class RecordReport:
             "repeated": self.repeated,
             "empty": sum(self.empty.values()),
             "outliers": outliers + sum(self.outliers.values()),
-            "gaps": self.gap_count,
+            "gaps": self.n_gaps,
             "block": self.block,
         }
 
@@ -104,9 +104,9 @@ class RecordReport:
             text = "1 row separated" if self.isolated == 1 else f"{self.isolated} rows separated"
             verb = "was" if self.isolated == 1 else "were"
             notes.append(f"{text} from the other rows by a gap {verb} omitted.")
-        if self.gap_count:
+        if self.n_gaps:
             longest = max(gap.length for gap in self.gaps)
-            text = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"
+            text = "1 gap" if self.n_gaps == 1 else f"{self.n_gaps} gaps"
             notes.append(f"{text} in the record; the longest lasts {longest:.6g} s.")
         return notes
 

@@ -208,9 +208,9 @@ def is_bursty(steps: Array) -> bool:
     if steps.size < _MIN_CHANGES or not (steps >= 0.0).all() or not steps.any():
         return False
     mean = float(np.mean(steps))
-    pause_count = int(np.sum(steps > _MAX_BURST_FRACTION * mean))
+    n_pauses = int(np.sum(steps > _MAX_BURST_FRACTION * mean))
     min_pauses = _MIN_BURSTS if median(steps) == 0.0 else _MIN_PAUSE_FRACTION * steps.size
-    return median(steps) < _MAX_BURST_FRACTION * mean and pause_count >= min_pauses
+    return median(steps) < _MAX_BURST_FRACTION * mean and n_pauses >= min_pauses
 
 
 def has_shared_times(time: Array, columns: Sequence[Array]) -> bool:
@@ -245,13 +245,13 @@ def estimate_row_rate(time: Array) -> float:
     return 1.0 / median(time_steps)
 
 
-def reconstruct_times(time: Array, restamped_count: int) -> Array:
+def reconstruct_times(time: Array, n_restamped: int) -> Array:
     """Reconstruct even times of rows with repeated time stamps.
 
     Rows may be stamped late, but not early. The rows with the smallest delay follow the clock of
     the sensor.
 
-    restamped_count: Number of rows with the time of the preceding row, for the message.
+    n_restamped: Number of rows with the time of the preceding row, for the message.
     """
     bounds = np.append(np.flatnonzero(np.append(True, np.diff(time) > 0.0)), time.size)
     burst_rows = quantile(np.diff(bounds), 0.999) + 1.0
@@ -275,7 +275,7 @@ def reconstruct_times(time: Array, restamped_count: int) -> Array:
     for segment, last in zip(segments, last_rows, strict=True):
         if _lacks_rows(segment[last] / step - last, segment.size):
             raise InputError(
-                f"{restamped_count} of {time.size} rows have the same time as the previous row, "
+                f"{n_restamped} of {time.size} rows have the same time as the previous row, "
                 "but different values, and samples are missing or excessively delayed, so the time "
                 "cannot be calculated from the row count; export the times of the sensor with a "
                 "finer resolution, or, if no sample is missing, give `sampling_rate`",
@@ -369,8 +369,8 @@ def _find_change_period(change_indices: npt.NDArray[np.int_]) -> int:
     ):
         return 0
     for period in range(shortest_length, 1, -1):
-        phase_count = np.bincount(change_indices % period).max()
-        if phase_count >= _MIN_PHASE_FRACTION * change_indices.size:
+        n_in_phase = np.bincount(change_indices % period).max()
+        if n_in_phase >= _MIN_PHASE_FRACTION * change_indices.size:
             return period
     return 0
 

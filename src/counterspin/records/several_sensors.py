@@ -44,17 +44,17 @@ def find_sensor_columns(cells: Mapping[str, Sequence[str]]) -> Iterator[tuple[st
     """
     for name, column in cells.items():
         values = list(dict.fromkeys(cell for cell in column if cell))
-        value_count = len(values)
-        if not 2 <= value_count <= min(MAX_SENSORS, len(column) // 4):
+        n_values = len(values)
+        if not 2 <= n_values <= min(MAX_SENSORS, len(column) // 4):
             continue
-        is_alternating = column[value_count:] == column[:-value_count] and not all(
+        is_alternating = column[n_values:] == column[:-n_values] and not all(
             map(_is_number, values)
         )
         has_whole_numbers = all(
             not _is_number(value) or float(value.replace(",", ".")).is_integer() for value in values
         )
-        change_count = sum(previous != following for previous, following in pairwise(column))
-        is_frequent = change_count >= _MIN_CHANGE_FRACTION * len(column)
+        n_changes = sum(previous != following for previous, following in pairwise(column))
+        is_frequent = n_changes >= _MIN_CHANGE_FRACTION * len(column)
         min_rows = min(column.count(value) for value in values)
         is_named = _SENSOR_NAME.fullmatch(name) and has_whole_numbers and is_frequent
         if (is_alternating or is_named) and min_rows >= max(2.0, _MIN_FRACTION * len(column)):

@@ -282,11 +282,11 @@ def check_first_harmonic(fit: HarmonicFit, nominal: FirstHarmonic, has_angle: bo
 
 def _median_amplitude_sd(fit: HarmonicFit, median_amplitude: complex) -> float:
     """Return the standard deviation of the median amplitude, from the scatter of revolutions."""
-    revolution_count = len(fit.amplitude)
+    n_revolutions = len(fit.amplitude)
     between_sd = MAD_TO_SIGMA * median(np.abs(fit.amplitude - median_amplitude))
     samples = np.maximum(fit.last_sample - fit.first_sample + 1, 1)
     within_sd = median(fit.residual_sd * np.sqrt(2.0 / samples))
-    return math.hypot(between_sd, within_sd) * math.sqrt(0.5 * math.pi / revolution_count)
+    return math.hypot(between_sd, within_sd) * math.sqrt(0.5 * math.pi / n_revolutions)
 
 
 # Removed trends --------------------------------------------------------------------------------

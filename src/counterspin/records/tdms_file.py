@@ -127,13 +127,13 @@ class TdmsFile(ArrayFile):
         ]
         skipped_rows = [round(rows) for rows in start_offsets]
         row_counts = [
-            len(channel) - skipped_count
-            for channel, skipped_count in zip(channels.values(), skipped_rows, strict=True)
+            len(channel) - n_skipped
+            for channel, n_skipped in zip(channels.values(), skipped_rows, strict=True)
         ]
         common_rows = min(row_counts)
         if any(
-            abs(rows - skipped_count) > _MAX_START_DEVIATION
-            for rows, skipped_count in zip(start_offsets, skipped_rows, strict=True)
+            abs(rows - n_skipped) > _MAX_START_DEVIATION
+            for rows, n_skipped in zip(start_offsets, skipped_rows, strict=True)
         ):
             raise RecordError(
                 f"{self.path}: the start times of the channels do not differ by a whole number of "
@@ -156,8 +156,8 @@ class TdmsFile(ArrayFile):
             )
         self.format_description = ", ".join(descriptions)
         return {
-            path: (skipped_count, common_rows)
-            for path, skipped_count in zip(channels, skipped_rows, strict=True)
+            path: (n_skipped, common_rows)
+            for path, n_skipped in zip(channels, skipped_rows, strict=True)
         }
 
 

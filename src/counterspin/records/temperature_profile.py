@@ -130,15 +130,15 @@ def _compute_profile(file: ColumnFile | RunFile, columns: RecordColumns) -> tupl
     return _fit_broken_line(values, time_span) if highest > lowest else (lowest,)
 
 
-def _segment_means(values: Array, segment_count: int) -> Array:
+def _segment_means(values: Array, n_segments: int) -> Array:
     """Return means of time and value over consecutive segments, and their weights, shape (3, m).
 
     values: Times, values and weights, shape (3, n).
     """
     n = values.shape[1]
-    if n <= segment_count:
+    if n <= n_segments:
         return values
-    starts = np.arange(segment_count) * n // segment_count
+    starts = np.arange(n_segments) * n // n_segments
     weight = np.add.reduceat(values[2], starts)
     means = np.add.reduceat(values[:2] * values[2], starts, axis=1) / weight
     return np.concatenate([means, weight[None]])

@@ -82,19 +82,17 @@ def pose_advice(view: AccelerometerView) -> str:
         for name, projections in zip(group.accelerometers, group.axes, strict=True):
             axes.setdefault(name, []).append(solved_poses.direction @ projections[0])
     n_poses, n_directions = _count_directions(view)
-    free_count = sum(
+    n_free = sum(
         math.isinf(unknown.prior[1]) or unknown.uses_fallback_prior
         for unknown in view.fit.model.unknowns
     )
     sentences = []
-    if n_poses < free_count:
-        sentences.append(
-            f" {n_poses} poses cannot determine {free_count} unknowns without a prior."
-        )
-    elif n_directions < free_count:
+    if n_poses < n_free:
+        sentences.append(f" {n_poses} poses cannot determine {n_free} unknowns without a prior.")
+    elif n_directions < n_free:
         sentences.append(
             f" The {n_poses} poses have only {n_directions} different directions, which cannot "
-            f"determine {free_count} unknowns without a prior."
+            f"determine {n_free} unknowns without a prior."
         )
     for direction, sign in (("up", -1.0), ("down", 1.0)):
         unturned_names = [

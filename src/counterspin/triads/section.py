@@ -118,7 +118,7 @@ def _resolve_axes(
     names: Sequence[str], mountings: Mapping[str, Mounting | None], problems: Problems
 ) -> list[Mounting]:
     """Return the axes of the three accelerometers; empty if they do not form a triad."""
-    error_count = len(problems.lines)
+    n_errors = len(problems.lines)
     for index, name in enumerate(names if mountings else ()):
         if name not in mountings:
             suggestion = suggest_name(name, mountings)
@@ -132,7 +132,7 @@ def _resolve_axes(
                 ("triad", "accelerometers", index), f'"{name}" is listed twice', "duplicate-entry"
             )
     axes = [mounting for mounting in map(mountings.get, names) if mounting is not None]
-    if len(problems.lines) > error_count or len(axes) < len(names):
+    if len(problems.lines) > n_errors or len(axes) < len(names):
         return []
     if names and abs(np.linalg.det([mounting.input_axis for mounting in axes])) < _MIN_VOLUME:
         problems.add(
@@ -198,7 +198,7 @@ def _resolve_pose(
 
     names: Accelerometers of the triad; empty if they are invalid.
     """
-    error_count = len(problems.lines)
+    n_errors = len(problems.lines)
     readings = next(pose_readings)
     if names and readings and set(readings) != set(names):
         message = (
@@ -210,5 +210,5 @@ def _resolve_pose(
     if any(stated) and not all(stated):
         message = "state the uncertainty for all three readings of a pose, or for none"
         problems.add((*path, "reading"), message, "wrong-uncertainty")
-    if readings.keys() >= set(names) > set() and len(problems.lines) == error_count:
+    if readings.keys() >= set(names) > set() and len(problems.lines) == n_errors:
         yield tuple(readings[name] for name in names)

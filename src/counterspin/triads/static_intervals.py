@@ -270,40 +270,38 @@ def _rolling_sd(time: Array, values: Array, window: float) -> Array:
     first_row = np.searchsorted(time, time - half_width, side="left")
     end_row = np.searchsorted(time, time + half_width, side="right")
     block_size = int((end_row - first_row).max())
-    block_count = -(-len(time) // block_size)
-    edges = np.minimum(np.arange(block_count + 1) * block_size, len(time))
+    n_blocks = -(-len(time) // block_size)
+    edges = np.minimum(np.arange(n_blocks + 1) * block_size, len(time))
     means = np.add.reduceat(values, edges[:-1], axis=0) / np.diff(edges)[:, None]
     block = np.arange(len(time)) // block_size
     deviations = values - means[block]
-    padded_values = np.zeros((block_count * block_size, 4))
+    padded_values = np.zeros((n_blocks * block_size, 4))
     padded_values[: len(time), :3] = deviations
     padded_values[: len(time), 3] = (deviations**2).sum(axis=1)
-    sums = np.zeros((block_count, block_size + 1, 4))
-    np.cumsum(padded_values.reshape(block_count, block_size, 4), axis=1, out=sums[:, 1:])
+    sums = np.zeros((n_blocks, block_size + 1, 4))
+    np.cumsum(padded_values.reshape(n_blocks, block_size, 4), axis=1, out=sums[:, 1:])
     first_block = first_row // block_size
     boundary_row = np.minimum(end_row, (first_block + 1) * block_size)
     first_sums = (
         sums[first_block, boundary_row - first_block * block_size]
         - sums[first_block, first_row - first_block * block_size]
     )
-    second_block = np.minimum(first_block + 1, block_count - 1)
+    second_block = np.minimum(first_block + 1, n_blocks - 1)
     second_sums = sums[second_block, np.maximum(end_row - second_block * block_size, 0)]
     second_sums[end_row == boundary_row] = 0.0
     # Pooled sum of squares: within both blocks, and between their means.
-    first_count, second_count = boundary_row - first_row, end_row - boundary_row
-    sum_of_squares = first_sums[:, 3] - (first_sums[:, :3] ** 2).sum(axis=1) / first_count
+    n_first, n_second = boundary_row - first_row, end_row - boundary_row
+    sum_of_squares = first_sums[:, 3] - (first_sums[:, :3] ** 2).sum(axis=1) / n_first
     sum_of_squares += second_sums[:, 3] - (second_sums[:, :3] ** 2).sum(axis=1) / np.maximum(
-        second_count, 1
+        n_second, 1
     )
-    mean_difference = means[first_block] + first_sums[:, :3] / first_count[:, None]
+    mean_difference = means[first_block] + first_sums[:, :3] / n_first[:, None]
     mean_difference = (
         mean_difference
         - means[second_block]
-        - second_sums[:, :3] / np.maximum(second_count, 1)[:, None]
+        - second_sums[:, :3] / np.maximum(n_second, 1)[:, None]
     )
-    sum_of_squares += (
-        (mean_difference**2).sum(axis=1) * first_count * second_count / (first_count + second_count)
-    )
+    sum_of_squares += (mean_difference**2).sum(axis=1) * n_first * n_second / (n_first + n_second)
     n_rows = end_row - first_row
     level = np.sqrt(np.maximum(sum_of_squares, 0.0) / np.maximum(n_rows - 1, 1))
     # So few rows can agree by chance.

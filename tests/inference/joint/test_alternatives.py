@@ -124,7 +124,7 @@ def test_column_spanned_by_unknowns_is_undetermined(relaxed):
     held = run_score_tests(loose, [Alternative("bias", "Qx", "bias", bias)], noise_given=True)
     assert math.isinf(held.u[0])
     assert held.z[0] == 0.0
-    assert held.test_count == 0
+    assert held.n_tests == 0
 
 
 def test_default_prior_is_alternative_term_or_input(series):

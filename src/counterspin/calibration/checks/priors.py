@@ -66,7 +66,7 @@ def find_prior_conflict(view: AccelerometerView) -> Iterator[Finding]:
     scores = tests.z
     best_index = int(np.flatnonzero(scores >= (1.0 - _TIE_TOLERANCE) * scores.max())[0])
     z = normal_equivalent(float(scores[best_index]), None if is_noise_known else tests.dof)
-    if z <= agreement_limit(tests.test_count):
+    if z <= agreement_limit(tests.n_tests):
         return
     value, u = float(tests.value[best_index]), float(tests.u[best_index])
     finding_text = PriorExplanation(view.campaign, fit, priors[best_index], value, u).describe()

@@ -42,8 +42,8 @@ def _compare_run_noise(view: AccelerometerView) -> list[Finding]:
         estimate_considered(view.estimate.compressed_fit or view.fit), view.name
     )
     worst_test = min(run_tests, key=lambda test: test.p, default=None)
-    test_count = len(run_tests) * len(view.campaign.accelerometers)
-    if worst_test is None or worst_test.p * test_count >= FALSE_ALARM_RATE:
+    n_tests = len(run_tests) * len(view.campaign.accelerometers)
+    if worst_test is None or worst_test.p * n_tests >= FALSE_ALARM_RATE:
         return []
     text = (
         f"The estimated accelerometer noise differs between runs. In {worst_test.run}, it is "

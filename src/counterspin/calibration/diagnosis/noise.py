@@ -85,12 +85,12 @@ def check_stated_noise(view: AccelerometerView) -> Iterator[Finding]:
     In this case the residuals are independent, and their ratio to the noise is equal in all runs.
     """
     tests, name = view.diagnostics, view.name
-    accelerometer_count = len(view.campaign.accelerometers)
+    n_accelerometers = len(view.campaign.accelerometers)
     p = tests.lack_of_fit_p
     if (
-        CHI_SQUARE_SIGNIFICANCE / accelerometer_count
+        CHI_SQUARE_SIGNIFICANCE / n_accelerometers
         < p
-        < 1.0 - CHI_SQUARE_SIGNIFICANCE / accelerometer_count
+        < 1.0 - CHI_SQUARE_SIGNIFICANCE / n_accelerometers
     ):
         return
     ratio, threshold = tests.chi2 / tests.dof, SIGNIFICANCE / (3.0 * len(tests.runs))

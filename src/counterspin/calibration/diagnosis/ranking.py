@@ -47,7 +47,7 @@ class BestExplanation:
     u: float  #: Standard uncertainty of the estimate.
     z: float  #: Score statistic of the alternative, in standard deviations.
     rivals: tuple[tuple[Alternative, float], ...]  #: Each with the estimate of its parameter.
-    test_count: int  #: Number of tests that share the significance level.
+    n_tests: int  #: Number of tests that share the significance level.
     dof: float | None  #: Degrees of freedom of the noise; None: stated noise.
     is_too_large: bool  #: Whether the estimate exceeds the credible limit.
 

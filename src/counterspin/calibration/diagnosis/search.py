@@ -235,15 +235,15 @@ def _search_causes(
 
 def _smallest_p(tests: ScoreTests) -> float:
     """Return the smallest p-value, with the Bonferroni correction for all tests."""
-    if not tests.test_count:
+    if not tests.n_tests:
         return 1.0
-    return min(1.0, tests.test_count * tests.p(int(np.argmax(tests.z))))
+    return min(1.0, tests.n_tests * tests.p(int(np.argmax(tests.z))))
 
 
 def _is_suspicious(
     views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
 ) -> bool:
-    record_count = sum(1 for view in views for _ in view.records())
+    n_records = sum(1 for view in views for _ in view.records())
     for view in views:
         result = results[view.name]
         codes = {finding.code for finding in (*result.findings, *_statistic_findings(view, result))}
@@ -251,10 +251,10 @@ def _is_suspicious(
             return True
         shifts = [normal_equivalent(line.z, line.dof) for line in result.jackknife if line.z]
         shifts += [abs(result.two_stage.z)] if result.two_stage else []
-        shift_p = min(_SUSPICION_SHIFT_P, _SUSPICION_P / max(record_count, 1))
+        shift_p = min(_SUSPICION_SHIFT_P, _SUSPICION_P / max(n_records, 1))
         if any(math.erfc(z / math.sqrt(2.0)) < shift_p for z in shifts):
             return True
-        if view.has_records and any(p < _SUSPICION_P / record_count for p in _run_p_values(view)):
+        if view.has_records and any(p < _SUSPICION_P / n_records for p in _run_p_values(view)):
             return True
     return False
 
@@ -368,7 +368,7 @@ def _is_robust(estimate: Estimate, explanation: BestExplanation) -> bool:
             gain @ undetected_walk_covariance(estimate.fit, estimate.estimated_noise) @ gain
         )
     z = abs(explanation.value) / math.sqrt(variance)
-    return math.erfc(z / math.sqrt(2.0)) * explanation.test_count < FALSE_ALARM_RATE
+    return math.erfc(z / math.sqrt(2.0)) * explanation.n_tests < FALSE_ALARM_RATE
 
 
 def _correct_cause(

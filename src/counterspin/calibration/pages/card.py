@@ -134,9 +134,9 @@ def _short_name(source: str) -> str:
 
 def _card_note(accelerometer: AccelerometerResult, symbol: str) -> str:
     if accelerometer.findings:
-        remaining_count = len(accelerometer.findings) - 1
+        n_remaining = len(accelerometer.findings) - 1
         text = finding_text(accelerometer.findings[0])
-        return f"{text} (More findings below: {remaining_count}.)" if remaining_count else text
+        return f"{text} (More findings below: {n_remaining}.)" if n_remaining else text
     return default_prior_sentence(accelerometer, symbol) or main_source_sentence(
         accelerometer, symbol
     )

@@ -48,11 +48,11 @@ def _thin_run(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
     whitened = view.fit.residuals[index].whitened
     periodogram = view.diagnostics.runs[series.run].periodogram
     segments_per_run = _TOTAL_SEGMENTS // len(view.fit.design_blocks)
-    segment_count = min(max(segments_per_run, _MIN_SEGMENTS), _MAX_SEGMENTS)
-    time, low, high = envelope(series.time, residuals, segment_count)
+    n_segments = min(max(segments_per_run, _MIN_SEGMENTS), _MAX_SEGMENTS)
+    time, low, high = envelope(series.time, residuals, n_segments)
     angle = series.trajectory.spindle.angle(series.time)
-    for bin_count in _REVOLUTION_BINS:
-        folded_residuals = fold_over_revolution(angle, residuals, bin_count)
+    for n_bins in _REVOLUTION_BINS:
+        folded_residuals = fold_over_revolution(angle, residuals, n_bins)
         if np.isfinite(folded_residuals[1]).all():
             break
     interval = median(np.diff(series.time))
@@ -136,16 +136,16 @@ def _round_digits(values: Array, digits: int = _DIGIT_COUNT) -> list[float]:
 # Thinning
 
 
-def envelope(time: Array, values: Array, segment_count: int) -> tuple[Array, Array, Array]:
-    """Return middle times, minima and maxima of at most `segment_count` segments of samples.
+def envelope(time: Array, values: Array, n_segments: int) -> tuple[Array, Array, Array]:
+    """Return middle times, minima and maxima of at most `n_segments` segments of samples.
 
     The segments have equal numbers of samples, so that a gap in the record remains visible, and
     no extreme sample is lost.
 
     time, values: Shape (n,), n >= 1, in the order of time.
-    segment_count: At least 1.
+    n_segments: At least 1.
     """
-    first_indices = _unique(np.arange(segment_count) * time.size // segment_count)
+    first_indices = _unique(np.arange(n_segments) * time.size // n_segments)
     last_indices = np.append(first_indices[1:], time.size) - 1
     return (
         0.5 * (time[first_indices] + time[last_indices]),
@@ -154,37 +154,37 @@ def envelope(time: Array, values: Array, segment_count: int) -> tuple[Array, Arr
     )
 
 
-def fold_over_revolution(angle: Array, values: Array, bin_count: int) -> tuple[Array, Array, Array]:
+def fold_over_revolution(angle: Array, values: Array, n_bins: int) -> tuple[Array, Array, Array]:
     """Return smallest, mean and largest values in equal bins of a revolution, shape (bin_count,).
 
     angle: Spindle angle, rad, not reduced to one revolution, shape (n,).
     values: Shape (n,).
     """
-    index = np.minimum((np.mod(angle, TURN) * (bin_count / TURN)).astype(np.intp), bin_count - 1)
-    count = np.bincount(index, minlength=bin_count)
-    low, high = np.full(bin_count, np.inf), np.full(bin_count, -np.inf)
+    index = np.minimum((np.mod(angle, TURN) * (n_bins / TURN)).astype(np.intp), n_bins - 1)
+    count = np.bincount(index, minlength=n_bins)
+    low, high = np.full(n_bins, np.inf), np.full(n_bins, -np.inf)
     np.minimum.at(low, index, values)
     np.maximum.at(high, index, values)
     with np.errstate(invalid="ignore"):
-        mean = np.bincount(index, values, minlength=bin_count) / count
+        mean = np.bincount(index, values, minlength=n_bins) / count
     is_empty = count == 0
     low[is_empty], high[is_empty] = np.nan, np.nan
     return low, mean, high
 
 
 def smoothed_spectrum(
-    power: Array, duration: float, band_count: int
+    power: Array, duration: float, n_bands: int
 ) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Return frequency (Hz), mean power and lines of at most `band_count` bands; white noise: 1.
+    """Return frequency (Hz), mean power and lines of at most `n_bands` bands; white noise: 1.
 
     The bands are equally wide on a logarithmic scale.
 
     power: The periodogram of whitened residuals, from `counterspin.inference.diagnostics`, shape
         (m,).
     duration: Length of the record, s: inverse of the frequency of the first line.
-    band_count: At least 1.
+    n_bands: At least 1.
     """
-    edges = _unique(np.geomspace(1.0, power.size + 1.0, band_count + 1).astype(np.intp))
+    edges = _unique(np.geomspace(1.0, power.size + 1.0, n_bands + 1).astype(np.intp))
     first_lines, widths = edges[:-1], np.diff(edges)
     frequency = (first_lines + 0.5 * (widths - 1)) / duration
     return frequency, np.add.reduceat(power[: edges[-1] - 1], first_lines - 1) / widths, widths

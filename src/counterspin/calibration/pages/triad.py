@@ -290,13 +290,13 @@ def _detection_plot(name: str, record: PosesInRecord, poses: Sequence[PoseResult
     pose_spans = [(pose.start, pose.end) for pose in poses if pose.start is not None and pose.end]
     # A gap after each pose, so that they are not joined.
     times = tuple(chain.from_iterable((start, end, end) for start, end in pose_spans))
-    pose_count = len(pose_spans)
+    n_poses = len(pose_spans)
     pose_band = PlotSeries(
         "poses (scatter below the threshold)",
         times,
-        (record.threshold, record.threshold, None) * pose_count,
-        low=(y_min, y_min, None) * pose_count,
-        high=(record.threshold, record.threshold, None) * pose_count,
+        (record.threshold, record.threshold, None) * n_poses,
+        low=(y_min, y_min, None) * n_poses,
+        high=(record.threshold, record.threshold, None) * n_poses,
         kind="band",
         colour=2,
     )

@@ -152,8 +152,8 @@ def assumption_sentence(result: HasAssumptions) -> str:
     if not names:
         return ""
     shown_names = ", ".join(names[:_MAX_LISTED_NAMES])
-    remaining_count = len(names) - _MAX_LISTED_NAMES
-    name_list = f"{shown_names} and {remaining_count} more" if remaining_count > 0 else shown_names
+    n_remaining = len(names) - _MAX_LISTED_NAMES
+    name_list = f"{shown_names} and {n_remaining} more" if n_remaining > 0 else shown_names
     return (
         "u does not include the uncertainty of these terms, which are fixed at their nominal "
         f"values: {name_list}."

@@ -56,11 +56,11 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     evidence_text = "; ".join(clause for _, clause in supporting_evidence(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
-        if remaining_count := len(accelerometer.findings) - 1:
+        if n_remaining := len(accelerometer.findings) - 1:
             sentences.append(
                 "One more finding is listed below."
-                if remaining_count == 1
-                else f"{remaining_count} more findings are listed below."
+                if n_remaining == 1
+                else f"{n_remaining} more findings are listed below."
             )
         if evidence_text and accelerometer.state in _USABLE_STATES:
             sentences.append(f"Passed checks: {evidence_text}.")

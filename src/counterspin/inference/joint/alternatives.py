@@ -92,7 +92,7 @@ class ScoreTests:
         return 2.0 * student_cdf(max(self.dof, 1.0), -float(self.z[index]))
 
     @property
-    def test_count(self) -> int:
+    def n_tests(self) -> int:
         """Number of alternatives that the records can distinguish."""
         return int(np.count_nonzero(np.isfinite(self.u)))
 

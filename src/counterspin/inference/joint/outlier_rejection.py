@@ -447,12 +447,12 @@ def _correlation_time(residuals: Mapping[int, Array], spacing: Mapping[int, floa
             if residuals[i].size >= 6 * k and first_variances[i] > 0.0
         }
         counts = {i: residuals[i].size / k for i, k in selected_steps.items()}
-        total_count = sum(counts.values())
+        n_total = sum(counts.values())
         weighted_ratio = sum(
             counts[i] * _third_difference_variance(residuals[i], k) / first_variances[i]
             for i, k in selected_steps.items()
         )
-        return weighted_ratio / max(total_count, 1.0), total_count
+        return weighted_ratio / max(n_total, 1.0), n_total
 
     while True:
         ratios_and_counts = [variance_ratio(factor * lag) for factor in _LAG_FACTORS]

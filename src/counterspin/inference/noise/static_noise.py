@@ -586,14 +586,14 @@ def _compare_bands(likelihood: RestrictedLikelihood, best_maximum: Maximum) -> t
     bands = []
     for number in np.unique(band_numbers):
         is_in_band = band_numbers == number
-        total_count = float(rows[is_in_band].sum())
-        ratio = float(energy[is_in_band].sum()) / total_count
+        n_total = float(rows[is_in_band].sum())
+        ratio = float(energy[is_in_band].sum()) / n_total
         bands.append(
             Band(
                 float(frequencies[is_in_band].min()),
                 float(frequencies[is_in_band].max()),
                 ratio,
-                total_count,
+                n_total,
             )
         )
     return tuple(bands)
