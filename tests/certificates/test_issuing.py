@@ -291,6 +291,16 @@ def test_future_issue_and_equipment_due_during_calibration_are_reported(
         assert key is None or f"was due on {due}, earlier than certificate.{key}." in out
 
 
+def test_characters_without_glyph_are_reported(certificate_folder, capsys, monkeypatch):
+    monkeypatch.setattr(
+        "counterspin.reports.pdf.find_missing_glyphs", lambda text: "王" * text.count("王")
+    )
+    for name, is_missing in (("王", True), ("A. Erste", False)):
+        write_lab(certificate_folder, LAB.replace("A. Erste", name))
+        _, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", f"{is_missing}.xml")
+        assert ("lack the characters 王, so the pages show squares" in out) is is_missing
+
+
 def test_template_draft_cannot_be_signed(certificate_folder, capsys):
     assert run_certificate(capsys, "--init", "mine.toml")[0] == 0
     status, out, _ = run_certificate(capsys, "r.json", "mine.toml", "-o", "c.pdf")

@@ -23,7 +23,7 @@ from counterspin.reports.blocks import (
     PlotSeries,
     Table,
 )
-from counterspin.reports.pdf import Attachment, render_pdf
+from counterspin.reports.pdf import Attachment, find_missing_glyphs, render_pdf
 
 DATE = datetime(2026, 3, 1, 14, 30, tzinfo=timezone(timedelta(hours=1)))
 
@@ -362,3 +362,10 @@ sys.stdout.buffer.write(data)
         )
         assert run.stdout == first
     assert make_pdf(*blocks, attachments=make_attachments(), date=DATE + timedelta(days=1)) != first
+
+
+def test_missing_glyphs_are_listed_once(monkeypatch):
+    assert find_missing_glyphs("Iván Иван Ελ") == ""
+    monkeypatch.setattr("counterspin.reports.pdf._has_glyph", lambda text, **_: "王" not in text)
+    assert find_missing_glyphs("a王b小王") == "王"
+    assert find_missing_glyphs("a小") == ""

@@ -46,7 +46,9 @@ def ledger_path(lab: Lab, lab_source: Mapping[str, Any] | Path | str) -> Path | 
 
 
 def issue_notes(lab: Lab, issue: Issue, missing_entries: Sequence[MissingEntry]) -> Iterator[str]:
-    """Yield notes on dates and missing data for the laboratory."""
+    """Yield notes on dates, characters and missing data for the laboratory."""
+    from counterspin.reports.pdf import find_missing_glyphs
+
     if (issue_day := issue.date.date()) < lab.certificate.end:
         yield (
             f"The day of issue, {issue_day}, is earlier than certificate.end, "
@@ -63,6 +65,11 @@ def issue_notes(lab: Lab, issue: Issue, missing_entries: Sequence[MissingEntry])
                 f"The calibration of {equipment.name} was due on {equipment.due}, earlier than "
                 f"certificate.{key}, {limit}."
             )
+    if missing_glyphs := find_missing_glyphs(lab.model_dump_json(warnings="none")):
+        yield (
+            f"The fonts of this computer lack the characters {missing_glyphs}, so the pages show "
+            "squares instead. The XML contains the characters. Install a font that has them."
+        )
     if missing_entries:
         yield (
             "This document is a draft, so it cannot be signed or entered in a ledger. These "

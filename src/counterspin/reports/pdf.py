@@ -35,6 +35,9 @@ _PDF_STANDARDS: Final = ["a-3a", "ua-1"]
 #: Replacement of a character without a glyph in any font.
 _REPLACEMENT_CHARACTER: Final = "\N{WHITE SQUARE}"
 
+#: Last character of Latin Extended-B.
+_LAST_LATIN_CHARACTER: Final = "\u024f"
+
 #: Parts of typst's messages on a character without a glyph, and on a private-use character.
 _MISSING_GLYPH_MESSAGES: Final = ("could not be displayed", "contains the codepoint")
 
@@ -262,13 +265,24 @@ def _run_typst(
     return document
 
 
-def _has_glyph(character: str, *, only_typst_fonts: bool) -> bool:
+def find_missing_glyphs(text: str) -> str:
+    """Return the characters that `render_pdf` replaces with a square, each once."""
+    # The fonts of typst contain Latin characters.
+    characters = sorted({character for character in text if character > _LAST_LATIN_CHARACTER})
+    if not characters or _has_glyph("".join(characters), only_typst_fonts=False):
+        return ""
+    return "".join(
+        character for character in characters if not _has_glyph(character, only_typst_fonts=False)
+    )
+
+
+def _has_glyph(text: str, *, only_typst_fonts: bool) -> bool:
+    """Return whether the fonts have a glyph for each character of a text."""
     from typst import TypstError
 
     # PDF/UA requires a title.
-    page = (
-        '#set document(title: "x")\n#set text(font: "Libertinus Serif")\n'
-        f'#"\\u{{{ord(character):x}}}"'
+    page = '#set document(title: "x")\n#set text(font: "Libertinus Serif")\n' + "".join(
+        f'#"\\u{{{ord(character):x}}}"\n' for character in text
     )
     try:
         _run_typst(
