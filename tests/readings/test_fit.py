@@ -20,6 +20,8 @@ from scipy import stats
 from scipy.special import stdtrit
 from stations import Station
 
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.memory import make_campaign
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.inference.identifiability import assess
 from counterspin.inference.noise.likelihood import RecordData
@@ -426,3 +428,40 @@ def test_non_convergence_names_reading_with_wrong_sign():
     values[7] = -values[7]
     with pytest.raises(ConvergenceError, match='"position 7", which deviates most'):
         solve_readings([make_readings(test, values, SIGMA)], make_model(others=machine))
+
+
+#: Readings of two accelerometers on six faces that were set by hand, g: x axis, y axis, X and Z.
+FACES = {
+    "x up": ("up", "north", 1.0087727, -0.0591127),
+    "x down": ("down", "north", -1.0148023, -0.0618670),
+    "y up": ("north", "up", 0.0014354, -0.0661979),
+    "y down": ("north", "down", 0.0121092, -0.0872141),
+    "z up": ("east", "north", 0.0121059, 0.9203954),
+    "z down": ("north", "east", -0.0029772, -1.0673377),
+}
+
+
+def test_fit_of_oscillating_positioning_errors_converges():
+    axes = {"X": ("east", "down"), "Z": ("up", "east")}
+    description = {
+        "schema": 1,
+        "site": {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg"},
+        "fixture": {"position": "0 ± 0.5 deg"},
+        "accelerometers": {
+            name: {"grade": "consumer", "input_axis": input_axis, "pendulous_axis": pendulous_axis}
+            for name, (input_axis, pendulous_axis) in axes.items()
+        },
+        "model": {"terms": ["K_F", "K_I", "delta_O", "delta_P"]},
+        "runs": [
+            {
+                "name": name,
+                "motion": "static",
+                "attitude": {"x": x_direction, "y": y_direction},
+                "reading": {"X": f"{x_reading} ± 0.0002 g", "Z": f"{z_reading} ± 0.0002 g"},
+            }
+            for name, (x_direction, y_direction, x_reading, z_reading) in FACES.items()
+        ],
+    }
+    coefficients = calibrate(make_campaign(description)).accelerometers["X"].coefficients
+    # True value of the simulation; u is far larger than the noise.
+    assert abs(coefficients["K_I"].value - 1.0120) < 3.0 * coefficients["K_I"].u

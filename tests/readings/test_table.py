@@ -443,6 +443,11 @@ SLIPS = {
         'readings."r.csv line 2": readings.mountings does not contain "inen"; did you mean '
         '"innen"?',
     ),
+    "no such mounting at rest": (
+        "n,side,mA\n6,innen,1.25\n0,hoch,1.25\n",
+        ARM.replace('axes_at_rest = { input = "up", pendulous = "outward" }', ""),
+        'readings."r.csv line 3": readings.mountings does not contain "hoch"',
+    ),
     "mountings without their column": (
         "n,mA\n6,1.25\n",
         ARM.replace('mounting = "side", ', ""),

@@ -39,7 +39,7 @@ _MIN_NOISE_TO_HEAD: Final = 0.3
 #: Factor of a prior standard uncertainty that constrains a term to its prior.
 _CONSTRAINT_FACTOR: Final = 1e-6
 
-#: Number of iterations with full steps.
+#: Number of iterations with full steps, and then with steps of each smaller size.
 _MAX_UNDAMPED_ITERATIONS: Final = 15
 
 #: Largest deviation of the linearisation point from a prior, in largest credible sizes.
@@ -252,8 +252,9 @@ def _solve(
         )
         variance = sd**2
         relative_moves = np.abs(new_point - point) / np.where(sd > 0, sd, 1.0)
-        # Positioning errors may oscillate, so the step is halved.
-        point = new_point if iteration < _MAX_UNDAMPED_ITERATIONS else 0.5 * (point + new_point)
+        # Positioning errors may oscillate, so the step is halved, and later halved again.
+        damping = 0.5 ** (iteration // _MAX_UNDAMPED_ITERATIONS)
+        point = new_point if damping == 1.0 else point + damping * (new_point - point)
         if relative_moves.max(initial=0.0) < _STEP_TOLERANCE:
             break
     else:

@@ -434,7 +434,7 @@ class ReadingsTable:
             run["axes"] = axes
         elif stated_axes is not None and (motion != "static" or "attitude" not in columns):
             run["axes"] = stated_axes.model_dump(include={"input", "pendulous"})
-        elif settings.mountings and motion != "static":
+        elif settings.mountings and (motion != "static" or self._has_only_mountings):
             hint = suggest_name(mounting, settings.mountings)
             self.problems.add(
                 path, f'readings.mountings does not contain "{mounting}"{hint}', "unknown-mounting"
@@ -455,6 +455,11 @@ class ReadingsTable:
         readings = self.value_columns("reading")
         run["reading"] = {name: self._reading(row, name, path) for name in readings}
         return run
+
+    @property
+    def _has_only_mountings(self) -> bool:
+        """Whether nothing else states the axes of readings at rest."""
+        return not {"attitude", "input"} & self.columns.keys() and not self.settings.attitude
 
     def _motion_and_rate(
         self, cell: Callable[[str], Any], path: KeyPath
