@@ -136,6 +136,15 @@ def test_unknown_option_without_command_is_named(capsys):
     )
 
 
+def test_completion_is_installed_for_shell(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cli.main(["--install-completion", "--shell", "bash"]) == 0
+    (script,) = tmp_path.glob(".local/**/counterspin")
+    assert capsys.readouterr().out.startswith(f"Wrote {script}. To use the completion, ")
+    assert "calibrate" in script.read_text(encoding="utf-8")
+    assert str(script) in (tmp_path / ".bashrc").read_text(encoding="utf-8")
+
+
 def test_port_outside_range_is_rejected(tmp_path, capsys):
     for port in ("-1", "70000"):
         assert cli.main(["serve", str(tmp_path), "--port", port]) == 2

@@ -84,6 +84,7 @@ for _path in (
     "program:validate",
 ):
     app.command(f"{__name__}.{_path}")  # imported when the command is called
+app.command(f"{__name__}.program:install_completion", name="--install-completion")
 
 
 def _describe_unexpected_error(error: Exception) -> str:

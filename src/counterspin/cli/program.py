@@ -41,6 +41,28 @@ def schema(document: Literal["campaign", "plan", "study", "lab", "result", "nois
 
 
 @command
+def install_completion(
+    *, shell: Literal["bash", "zsh", "fish", "powershell"] | None = None
+) -> None:
+    """Install the completion of commands and options in your shell.
+
+    Parameters
+    ----------
+    shell
+        Shell; default: the current shell. Its startup file is extended to load the completion.
+    """
+    from cyclopts.completion import ShellDetectionError
+
+    from counterspin.cli import app
+
+    try:
+        path = app.install_completion(shell=shell)
+    except ShellDetectionError as error:
+        raise UsageError("--install-completion", ["name the shell with --shell"]) from error
+    print_output(f"Wrote {path}. To use the completion, restart the shell.")
+
+
+@command
 def serve(
     directory: Path,
     /,
