@@ -6,6 +6,7 @@ Numbers have all digits of a double, so that software reads exactly the computed
 
 from __future__ import annotations
 
+import math
 import re
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -55,7 +56,7 @@ from counterspin.certificates.statements import (
     certificate_statements,
 )
 from counterspin.errors import RecordError
-from counterspin.inference.distributions import COVERAGE
+from counterspin.inference.distributions import COVERAGE, MIN_INTERVAL_DOF
 from counterspin.physics.terms import SHARED_TERMS
 from counterspin.reports.numbers import round_to_uncertainty
 from counterspin.units import SiUnit, si_unit, to_si
@@ -84,6 +85,15 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
             "can be certified",
             code="not-determined",
         )
+    for name in names:
+        for symbol, coefficient in result.accelerometers[name].coefficients.items():
+            if coefficient.estimated and (coefficient.dof or math.inf) < MIN_INTERVAL_DOF:
+                raise RecordError(
+                    f"{name}.{symbol} has less than one degree of freedom, so its expanded "
+                    "uncertainty cannot be certified; state the uncertainty of the readings, or "
+                    "take more readings",
+                    code="not-determined",
+                )
 
 
 def build_document(

@@ -191,6 +191,10 @@ def finite_dof(dof: float) -> float | None:
     return dof if dof < _INFINITE_DOF else None
 
 
+#: Fewest degrees of freedom for an interval; GUM G.4.1 truncates fewer to 0.
+MIN_INTERVAL_DOF: Final = 1.0
+
+
 def expanded_uncertainty(u: float, dof: float | None, coverage: float = COVERAGE) -> float:
     """Return half the width of the coverage interval: Student's factor times u (GUM G.3)."""
     p = 0.5 * (1.0 + coverage)

@@ -12,7 +12,7 @@ from counterspin.calibration.pages.accelerometer import to_field_units
 from counterspin.calibration.pages.uncertainty import default_prior_sentence, main_source_sentence
 from counterspin.calibration.pages.verdict import finding_text
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, State
-from counterspin.inference.distributions import expanded_uncertainty
+from counterspin.inference.distributions import MIN_INTERVAL_DOF, expanded_uncertainty
 from counterspin.inference.joint.summary import BudgetLine
 from counterspin.physics.terms import describe_term
 from counterspin.reports.blocks import Card, Check, Paragraph, Share
@@ -40,9 +40,6 @@ _DIRECTIONS: Final = (("east", "west"), ("north", "south"), ("up", "down"))
 #: Largest number of named shares of u^2 in a bar, and the smallest named share.
 _MAX_SHARES: Final = 4
 _MIN_SHARE: Final = 0.005
-
-#: Fewest degrees of freedom for an interval; GUM G.4.1 truncates fewer to 0.
-MIN_INTERVAL_DOF: Final = 1.0
 
 
 def accelerometer_card(

@@ -17,7 +17,7 @@ from counterspin.calibration.pages.accelerometer import (
     to_field_units,
 )
 from counterspin.calibration.pages.budget import budget_blocks, interval_blocks
-from counterspin.calibration.pages.card import MIN_INTERVAL_DOF, accelerometer_card
+from counterspin.calibration.pages.card import accelerometer_card
 from counterspin.calibration.pages.methods import model_blocks, origin_blocks
 from counterspin.calibration.pages.pictures import (
     budget_bars,
@@ -42,7 +42,7 @@ from counterspin.calibration.pages.verdict import (
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, RunResult, State
 from counterspin.characters import MultilineText
-from counterspin.inference.distributions import expanded_uncertainty
+from counterspin.inference.distributions import MIN_INTERVAL_DOF, expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Picture, Style, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
