@@ -73,12 +73,16 @@ def test_block_means_preserve_ripple(tmp_path):
     [
         (pl.col("east") * -1.0, "180 degrees"),
         (pl.col("north").alias("east"), "check the input axis"),
-        (pl.col("east") * 1000.0, "check the unit of the column"),
+        (
+            pl.col("east") * 1000.0,
+            "check the unit of the column, the unit of the time and the sampling rate",
+        ),
+        (pl.col("east") * 16.0, "the unit of the time, the sampling rate, the radius"),
         (pl.col("east") * 9.80665, "ratio of g and m/s^2"),
         (pl.col("angle_rad") + math.pi / 2, "90 degrees"),
         (pl.col("angle_rad") * -1.0, "opposite sense"),
     ],
-    ids=["sign", "axes", "thousand", "gravity", "zero", "sense"],
+    ids=["sign", "axes", "thousand", "time", "gravity", "zero", "sense"],
 )
 def test_rejects_record_of_other_motion(recorded_run, tmp_path, change, words):
     folder, text, record = recorded_run

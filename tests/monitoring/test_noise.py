@@ -380,6 +380,17 @@ def test_stuck_samples_are_reported_and_excluded():
 
 
 @pytest.mark.usefixtures("skip_intervals")
+def test_constant_parts_of_a_coarse_record_are_not_quiet_parts():
+    """Most values are equal; the scatter elsewhere is that of rounding, not of motion."""
+    values = np.zeros(8_000)
+    values[4_500::130] = 0.02
+    (signal,) = cs.noise({"time_s": np.arange(8_000) * STEP, "Qx_g": values / G}).signals
+    assert signal.resolution == pytest.approx(0.02)
+    assert not any("sensor moved" in remark for remark in signal.remarks)
+    assert any("rounding error" in remark for remark in signal.remarks)
+
+
+@pytest.mark.usefixtures("skip_intervals")
 @pytest.mark.parametrize("name", ["time_s", "time"])
 def test_stated_rate_overrides_unusable_times(name):
     time, values = make_columns(2000)

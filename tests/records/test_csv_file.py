@@ -15,7 +15,8 @@ from record_files import (
 
 from counterspin.errors import RecordError
 from counterspin.records import csv_file
-from counterspin.records.formats import read_numbers, read_table
+from counterspin.records.dialect import Dialect
+from counterspin.records.formats import open_columns, read_numbers, read_table
 from counterspin.records.record import ColumnSpec
 
 
@@ -281,3 +282,12 @@ def test_carriage_return_within_line_raises_with_line(tmp_path):
     text[500] = text[500].replace(",", ",1\r", 1) + ",1"
     message = read_error_message(write_record(tmp_path / "run.csv", text))
     assert "line 501: the line has 4 cells" in message
+
+
+def test_footer_longer_than_the_file_leaves_no_rows(tmp_path):
+    path = write_record(tmp_path / "run.csv", format_lines(simulate_columns(n=50)))
+    with (
+        open_columns(path, Dialect(skip_footer=80)) as file,
+        pytest.raises(RecordError, match="no rows"),
+    ):
+        file.read_columns([TIME])

@@ -55,6 +55,13 @@ def test_stated_layout_takes_precedence():
     assert detect_layout(lines, delimiter=",") is None
 
 
+def test_first_row_of_numbers_is_not_the_stated_units_row():
+    """A campaign states `units_row = true` for all runs, but one file lacks this row."""
+    lines = ["a,b,c", *[f"{n},{n / 8},0.5" for n in range(5)]]
+    layout = plain_format(list(enumerate(lines, 1)), Dialect(units_row=True))
+    assert (layout.units_row, layout.before_rows) == (False, 1)
+
+
 def test_decimal_comma_is_not_delimiter():
     """With a single column name, 1,25 is one number, with or without quotation marks."""
     alone = detect_layout(["East", "0,0050", "1,0070", "-1,0005"])

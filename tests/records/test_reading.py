@@ -196,3 +196,13 @@ def test_implausible_values_raise(tmp_path, size):
     columns[SIGNAL] *= size
     message = read_error_message(write_record(tmp_path / "run.csv", columns), swings={})
     assert f"column '{SIGNAL}' contains implausible values of up to" in message
+
+
+@pytest.mark.parametrize(("start", "factor"), [(1764459000.0, 1.0), (1764459000.0, 1e3)])
+def test_times_since_1970_have_no_rounding_error(tmp_path, start, factor):
+    """Seconds since 1970 have a resolution of 0.24 us in floating point."""
+    columns = simulate_columns()
+    columns[TIME] = (start + 0.02 * np.arange(columns[TIME].size)) * factor
+    path = write_record(tmp_path / "run.csv", columns)
+    record = read_written_record(path, time=ColumnSpec(TIME, 1.0 / factor), block=1)
+    np.testing.assert_allclose(np.diff(record.time), 0.02, rtol=1e-9)

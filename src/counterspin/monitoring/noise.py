@@ -478,7 +478,12 @@ def _motion_remarks(record: StaticRecord) -> Iterator[str]:
     segment_length = max(_MIN_SEGMENT_SAMPLES, values.size // _N_MOTION_SEGMENTS)
     segments = values[: values.size // segment_length * segment_length].reshape(-1, segment_length)
     scatters = segments.std(axis=1)
-    rest_scatter, index = float(np.quantile(scatters, 0.25)), int(np.argmax(scatters))
+    # If all values of a segment are equal, its scatter is that of the rounding.
+    rounding = record.segments.resolution / math.sqrt(12.0)
+    rest_scatter, index = (
+        max(float(np.quantile(scatters, 0.25)), rounding),
+        int(np.argmax(scatters)),
+    )
     if (
         record.signal.order == 0
         and len(segments) >= _N_MOTION_SEGMENTS // 2

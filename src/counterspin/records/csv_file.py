@@ -186,7 +186,7 @@ class CsvFile(ColumnFile):
     def _drop_footer(self, count: int) -> None:
         """Remove lines from the end of the content."""
         lines = self._rows_content().splitlines(True)
-        self._content = b"".join(lines[: len(lines) - count])
+        self._content = b"".join(lines[: max(len(lines) - count, 0)])
 
     def _missing_columns_message(self, missing_names: Sequence[str]) -> str:
         message = super()._missing_columns_message(missing_names)

@@ -11,6 +11,7 @@ import csv
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise, zip_longest
 from typing import Final
 
@@ -228,6 +229,8 @@ def plain_format(lines: Sequence[Line], dialect: Dialect) -> TableFormat | None:
         unit_cells = next(
             (split_cells(text, delimiter) for n, text in lines if n == units_line), []
         )
+        if _is_row(unit_cells, dialect.decimal or "."):
+            return plain_format(lines, replace(dialect, units_row=False))
     units = [
         parse_file_unit(cell) or "" for cell in [*unit_cells, *[""] * len(names)][: len(names)]
     ]

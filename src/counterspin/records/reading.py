@@ -7,6 +7,7 @@ end the amplitudes are checked (`signals`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -59,6 +60,8 @@ from counterspin.records.signals import (
 
 #: Largest fraction of empty cells in a column.
 MAX_EMPTY_FRACTION = 0.05
+#: Largest rounding error of a time that is not corrected, s.
+_MAX_ROUNDING_ERROR = 1e-9
 #: Largest value in SI units; squares of larger values could overflow.
 MAX_MAGNITUDE = 1e100
 #: Smallest gap that isolates rows, in time steps, in addition to one revolution.
@@ -310,7 +313,7 @@ class _RecordReader:
         time, angle = self._columns.time, self._columns.angle
         seconds = columns[time.name]
         if self._first_time:
-            seconds = seconds - self._first_time
+            seconds = _elapsed(seconds, self._first_time, time.factor)
         return Chunk(
             _scale(seconds, time.factor),
             None if angle is None else _scale(columns[angle.name], angle.factor, angle.offset),
@@ -571,6 +574,21 @@ class _RecordReader:
             format_description=", ".join(filter(None, descriptions)),
             outside=self._rows_outside,
         )
+
+
+def _elapsed(time: np.ndarray, first_time: float, factor: float) -> np.ndarray:
+    """Return the time since the first row, without the rounding error of times since 1970.
+
+    factor: Factor from the unit of the file to s.
+    """
+    elapsed = time - first_time
+    rounding_error = float(np.spacing(abs(first_time)))
+    if rounding_error * factor < _MAX_ROUNDING_ERROR:
+        return elapsed
+    unit = 10.0 ** math.ceil(math.log10(4.0 * rounding_error))
+    rounded = np.round(elapsed / unit) * unit
+    is_decimal = np.nanmax(np.abs(rounded - elapsed), initial=0.0) <= rounding_error
+    return rounded if is_decimal else elapsed
 
 
 def _scale(values: np.ndarray, factor: float, offset: float = 0.0) -> np.ndarray:

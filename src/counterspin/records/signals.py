@@ -272,12 +272,16 @@ def check_first_harmonic(fit: HarmonicFit, nominal: FirstHarmonic, has_angle: bo
             "input axis, its sign, and the assignment of the columns"
         )
     unit_names, distance = _nearest_unit_ratio(magnitude) if magnitude > 0.0 else ("", math.inf)
+    # The time determines the amplitude of a velocity or a specific force.
+    time_units = "" if unit == "m" else ", the unit of the time, the sampling rate"
+    if unit == "m/s^2":
+        unit_names = {"m and mm": "g and mg", "m and um": "g and ug"}.get(unit_names, unit_names)
     if distance < 0.05:
         return (
             f"{message}; the factor {magnitude:.4g} is the ratio of {unit_names}: check the unit "
-            "of the column"
+            f"of the column{time_units.replace(', the sampling', ' and the sampling')}"
         )
-    return f"{message}: check the unit of the column, the radius and the input axis"
+    return f"{message}: check the unit of the column{time_units}, the radius and the input axis"
 
 
 def _median_amplitude_sd(fit: HarmonicFit, median_amplitude: complex) -> float:

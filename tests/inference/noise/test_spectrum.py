@@ -41,6 +41,13 @@ def test_noise_has_no_lines():
         assert remainder is record
 
 
+def test_lines_of_white_noise_are_as_rare_as_stated():
+    """The noise floor at low frequencies is a median of few values."""
+    rng = np.random.default_rng(1)
+    records = rng.standard_normal((400, 2_000))
+    assert sum(bool(find_lines(record, STEP)[0]) for record in records) <= 2
+
+
 def test_lines_are_found_with_uncertainty():
     """z of 20 trials: the mean within 4 of its standard deviations, the rms within 3 of its."""
     time = np.arange(20_000) * STEP

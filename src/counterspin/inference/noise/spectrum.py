@@ -45,6 +45,9 @@ _FALSE_ALARM_PROBABILITY: Final = 1e-3
 #: Largest number of lines, and number of neighbours on either side for the noise floor.
 _MAX_LINES: Final = 20
 _NEIGHBOURS: Final = 64
+#: Relative variance of the floor times the number of values in the median: 1 / ln(2)^2 for
+#: independent values, more for those of a Hann window, which are correlated.
+_FLOOR_VARIANCE: Final = 4.04
 
 #: Width of the maximum of a Hann window, within which there is no other line.
 _PEAK_WIDTH: Final = 3
@@ -146,14 +149,16 @@ def find_lines(force: Array, step: float) -> tuple[list[SpectralLine], Array]:
     frequencies: list[float] = []
     residual = force - force.mean()
     noise_floor = _noise_floor(np.abs(np.fft.rfft(window * residual)) ** 2)
-    limit = math.log(0.5 * n / _FALSE_ALARM_PROBABILITY)
+    # The floor is the median of few values, approximately gamma-distributed with this shape.
+    shape = (2 * _floor_half_widths(noise_floor.size) + 1) / _FLOOR_VARIANCE
+    limit = shape * np.expm1(math.log(0.5 * n / _FALSE_ALARM_PROBABILITY) / shape)
     amplitudes: list[complex] = []
     while len(frequencies) < _MAX_LINES:
         power = np.abs(np.fft.rfft(window * residual)) ** 2
         ratio = power / noise_floor
         ratio[:_MIN_PERIODS] = ratio[-_PEAK_WIDTH:] = 0.0
-        peak = int(np.argmax(ratio))
-        if ratio[peak] < limit:
+        peak = int(np.argmax(ratio / limit))
+        if ratio[peak] < limit[peak]:
             break
         # The logarithm of a Hann window's maximum is a parabola to a hundredth of a step.
         log_below, log_peak, log_above = np.log(power[peak - 1 : peak + 2])
@@ -215,6 +220,11 @@ def _fit_lines(
     return frequencies, amplitudes, force - columns @ coefficients
 
 
+def _floor_half_widths(size: int) -> Array:
+    """Return the number of neighbours on either side in the median of the noise floor."""
+    return np.clip(np.arange(size) // 4, 2, _NEIGHBOURS)
+
+
 def _noise_floor(power: Array) -> Array:
     """Return the noise floor of a spectrum: its running median over ln 2."""
     from scipy.ndimage import median_filter
@@ -222,8 +232,8 @@ def _noise_floor(power: Array) -> Array:
     width = min(2 * _NEIGHBOURS + 1, (power.size // 2) | 1)
     # Near zero, the neighbourhood narrows, because the spectrum may depend on the frequency.
     median = median_filter(power, width, mode="reflect")
-    for index in range(min(4 * _NEIGHBOURS, power.size)):
-        half_width = max(2, min(index // 4, _NEIGHBOURS))
+    half_widths = _floor_half_widths(min(4 * _NEIGHBOURS, power.size))
+    for index, half_width in enumerate(half_widths.tolist()):
         median[index] = np.median(power[max(0, index - half_width) : index + half_width + 1])
     return np.asarray(np.maximum(median, 1e-300) / math.log(2.0))
 
