@@ -245,4 +245,14 @@ def test_unit_spellings_in_files_are_parsed():
     written = ["U/min", "RPM", "min-1", "VDC", "LSB"]
     assert [parse_file_unit(text) for text in written] == ["rpm", "rpm", "1/min", "V", "count"]
     assert [parse_file_unit(text) for text in ("", "raw", "East", "x" * 30)] == [None] * 4
+    written = ["ms-2", "ms⁻²", "ms^-2", "m s-2", "m·s⁻²", "m/s**2", "m / s²", "m/sec²", "mps2"]
+    assert {parse_file_unit(text) for text in written} == {"m/s^2"}
+    written = ["mm/s2", "cm s-2", "ft/sec2", "inch/s^2", "km/s^2"]
+    assert [parse_file_unit(text) for text in written] == [
+        "mm/s^2",
+        "cm/s^2",
+        "ft/s^2",
+        "in/s^2",
+        "km/s^2",
+    ]
     assert [bracketed_unit(name) for name in ("t [ms]", "t", "t (raw)")] == ["ms", "", ""]

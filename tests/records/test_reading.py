@@ -198,6 +198,18 @@ def test_implausible_values_raise(tmp_path, size):
     assert f"column '{SIGNAL}' contains implausible values of up to" in message
 
 
+def test_repeated_values_leave_the_amplitude(tmp_path):
+    """Block means over interpolated values would reduce it by 2e-4."""
+    columns = simulate_columns(n=6_000, step=0.01)
+    newest_row = np.arange(6_000) // 2 * 2
+    columns[SIGNAL] = RADIUS * np.cos(columns[ANGLE][newest_row])
+    record = read_written_record(write_record(tmp_path / "run.csv", columns))
+    signal = record.signals["Qx"]
+    is_new = np.isfinite(signal)
+    assert is_new.sum() == 3_000
+    np.testing.assert_allclose(signal[is_new], RADIUS * np.cos(record.angle[is_new]), atol=1e-9)
+
+
 @pytest.mark.parametrize(("start", "factor"), [(1764459000.0, 1.0), (1764459000.0, 1e3)])
 def test_times_since_1970_have_no_rounding_error(tmp_path, start, factor):
     """Seconds since 1970 have a resolution of 0.24 us in floating point."""

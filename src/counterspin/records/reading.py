@@ -7,7 +7,6 @@ end the amplitudes are checked (`signals`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -44,7 +43,7 @@ from counterspin.records.record import (
 )
 from counterspin.records.reduction import BlockAverager, BlockMeans, block_size, main_segment
 from counterspin.records.run_file import RunFile, check_length, interpolate_pulses, is_derived
-from counterspin.records.sampling import MAX_REPEATED_TIMES, RepeatedValues
+from counterspin.records.sampling import MAX_REPEATED_TIMES, RepeatedValues, elapsed_time
 from counterspin.records.several_sensors import require_single_sensor
 from counterspin.records.signals import (
     HarmonicFit,
@@ -60,8 +59,6 @@ from counterspin.records.signals import (
 
 #: Largest fraction of empty cells in a column.
 MAX_EMPTY_FRACTION = 0.05
-#: Largest rounding error of a time that is not corrected, s.
-_MAX_ROUNDING_ERROR = 1e-9
 #: Largest value in SI units; squares of larger values could overflow.
 MAX_MAGNITUDE = 1e100
 #: Smallest gap that isolates rows, in time steps, in addition to one revolution.
@@ -246,13 +243,15 @@ class _RecordReader:
                     self._repeats.start(
                         self._file.path, self._rows + first_row, chunk.time, chunk.signals
                     )
+                    if self._repeats.has_repeats:
+                        self._block = 1  # means over interpolated values would be biased
                     averager = BlockAverager(
                         self._block,
                         self._clock.step,
                         self._motion.signal_rate(self._clock.rate),
                         reject_outliers=not self._motion.is_multi_pose,
                     )
-                signals = self._repeats.fill(self._rows + first_row, chunk.signals, self._block > 1)
+                signals = self._repeats.blank(self._rows + first_row, chunk.signals)
                 chunk = Chunk(chunk.time, chunk.angle, signals)
                 blocks = self._process_chunk(self._rows + first_row, chunk, averager)
                 if blocks is not None:
@@ -313,7 +312,7 @@ class _RecordReader:
         time, angle = self._columns.time, self._columns.angle
         seconds = columns[time.name]
         if self._first_time:
-            seconds = _elapsed(seconds, self._first_time, time.factor)
+            seconds = elapsed_time(seconds, self._first_time, time.factor)
         return Chunk(
             _scale(seconds, time.factor),
             None if angle is None else _scale(columns[angle.name], angle.factor, angle.offset),
@@ -396,9 +395,11 @@ class _RecordReader:
         counts = {self._columns.time.name: self._clock.findings.empty_time}
         if self._columns.angle is not None:
             counts[self._columns.angle.name] = self._clock.findings.empty_angle
-        blank_counts = self._repeats.blank_counts
-        for spec, empty, blank in zip(self._signals, self._empty_cells, blank_counts, strict=True):
-            counts[spec.name] = empty - blank
+        repeat_counts = self._repeats.repeat_counts
+        for spec, empty, repeats in zip(
+            self._signals, self._empty_cells, repeat_counts, strict=True
+        ):
+            counts[spec.name] = empty - repeats
         return counts
 
     def make_record(self, blocks: BlockMeans) -> Record:
@@ -574,21 +575,6 @@ class _RecordReader:
             format_description=", ".join(filter(None, descriptions)),
             outside=self._rows_outside,
         )
-
-
-def _elapsed(time: np.ndarray, first_time: float, factor: float) -> np.ndarray:
-    """Return the time since the first row, without the rounding error of times since 1970.
-
-    factor: Factor from the unit of the file to s.
-    """
-    elapsed = time - first_time
-    rounding_error = float(np.spacing(abs(first_time)))
-    if rounding_error * factor < _MAX_ROUNDING_ERROR:
-        return elapsed
-    unit = 10.0 ** math.ceil(math.log10(4.0 * rounding_error))
-    rounded = np.round(elapsed / unit) * unit
-    is_decimal = np.nanmax(np.abs(rounded - elapsed), initial=0.0) <= rounding_error
-    return rounded if is_decimal else elapsed
 
 
 def _scale(values: np.ndarray, factor: float, offset: float = 0.0) -> np.ndarray:

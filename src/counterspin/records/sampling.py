@@ -58,6 +58,9 @@ _MAX_FLOOR_CHANGE: Final = 0.005
 #: Dickey-Fuller statistic that a random walk of 20 to 60 steps exceeds in 98 % of cases.
 _WALK_LIMIT: Final = -4.7
 
+#: Largest rounding error of a time that is not corrected, s.
+_MAX_ROUNDING_ERROR: Final = 1e-9
+
 Mask = npt.NDArray[np.bool_]
 
 
@@ -132,10 +135,9 @@ class RepeatedValues:
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names
         self._holding: list[ValueHolding | None] = []
-        self._repeat_counts = [0] * len(names)
+        self.repeat_counts = [0] * len(names)  #: Repeated values of each signal.
         self._last_values = [math.nan] * len(names)
         self._first_row = 0
-        self.blank_counts = [0] * len(names)  #: Values of each signal that were replaced by NaN.
 
     def start(self, path: object, first_row: int, time: Array, signals: Sequence[Array]) -> None:
         """Detect repeated values in the first chunk; RecordError if it cannot be decided.
@@ -153,34 +155,29 @@ class RepeatedValues:
                     f"{path}: column '{name}': {error}.", code=error_code(error)
                 ) from None
 
-    def fill(self, first_row: int, signals: Sequence[Array], interpolate: bool) -> list[Array]:
-        """Return the signals of a chunk with repeated values replaced.
+    @property
+    def has_repeats(self) -> bool:
+        """Whether a signal repeats its values."""
+        return any(self._holding)
 
-        interpolate: Whether repeated values are interpolated, for block means; otherwise they are
-            NaN.
-        """
-        filled_signals = list(signals)
+    def blank(self, first_row: int, signals: Sequence[Array]) -> list[Array]:
+        """Return the signals of a chunk with NaN for repeated values."""
+        blanked_signals = list(signals)
         for index, (signal, holding) in enumerate(zip(signals, self._holding, strict=True)):
             if holding is None:
                 continue
             is_new = holding.is_new(signal, first_row - self._first_row, self._last_values[index])
             is_repeat = ~is_new & ~np.isnan(signal)
-            new_indices = np.flatnonzero(is_new & ~np.isnan(signal))
-            self._repeat_counts[index] += int(is_repeat.sum())
+            self.repeat_counts[index] += int(is_repeat.sum())
             self._last_values[index] = float(signal[-1])
-            values = np.full(len(signal), math.nan)
-            if interpolate and len(new_indices):
-                values = np.interp(np.arange(len(signal)), new_indices, signal[new_indices])
-            else:
-                self.blank_counts[index] += int(is_repeat.sum())
-            filled_signals[index] = np.where(is_repeat, values, signal)
-        return filled_signals
+            blanked_signals[index] = np.where(is_repeat, math.nan, signal)
+        return blanked_signals
 
     def notes(self, rows: int) -> list[str]:
         """Return a note for each signal with repeated values; rows: number of rows."""
         fractions = (
             (name, count / rows)
-            for name, count in zip(self._names, self._repeat_counts, strict=True)
+            for name, count in zip(self._names, self.repeat_counts, strict=True)
         )
         return [
             f"column '{name}' repeats {100.0 * fraction:.3g} % of the values; the repetitions "
@@ -188,6 +185,21 @@ class RepeatedValues:
             for name, fraction in fractions
             if fraction
         ]
+
+
+def elapsed_time(time: Array, first_time: float, factor: float) -> Array:
+    """Return the time since the first row, without the rounding error of times since 1970.
+
+    factor: Factor from the unit of the file to s.
+    """
+    elapsed = time - first_time
+    rounding_error = float(np.spacing(abs(first_time)))
+    if rounding_error * factor < _MAX_ROUNDING_ERROR:
+        return elapsed
+    unit = 10.0 ** math.ceil(math.log10(4.0 * rounding_error))
+    rounded = np.round(elapsed / unit) * unit
+    is_decimal = np.nanmax(np.abs(rounded - elapsed), initial=0.0) <= rounding_error
+    return np.asarray(rounded if is_decimal else elapsed)
 
 
 def join_bursts(time: Array) -> Array:

@@ -40,6 +40,7 @@ _UNIT_BY_WORD: Final = {
     "degrees": "deg",
     "radian": "rad",
     "radians": "rad",
+    "rads": "rad",
     "revolutions": "rev",
     "umdr": "rev",
     "umdrehungen": "rev",
@@ -67,24 +68,10 @@ _UNIT_BY_WORD: Final = {
     "u/s": "rev/s",
     "min-1": "1/min",
     "min⁻¹": "1/min",
-    "m/s²": "m/s^2",
-    "m/s2": "m/s^2",
     "m/(s^2)": "m/s^2",
-    "m s-2": "m/s^2",
-    "m.s-2": "m/s^2",
-    "m*s-2": "m/s^2",
-    "m*s^-2": "m/s^2",
-    "m s^-2": "m/s^2",
-    "m·s^-2": "m/s^2",
-    "m/sec^2": "m/s^2",
     "m/s/s": "m/s^2",
-    "ft/s2": "ft/s^2",
-    "inch/s^2": "in/s^2",
-    "ft/sec^2": "ft/s^2",
+    "mps2": "m/s^2",
     "ft/s/s": "ft/s^2",
-    "m.s⁻²": "m/s^2",
-    "m s⁻²": "m/s^2",
-    "m·s⁻²": "m/s^2",
     "deg.s-1": "deg/s",
     "rad.s-1": "rad/s",
     "deg s-1": "deg/s",
@@ -92,6 +79,10 @@ _UNIT_BY_WORD: Final = {
     "°.s-1": "deg/s",
     "dps": "deg/s",
 }
+#: Notation of an acceleration in files, such as m/sec2, mm s-2 and ms⁻²: unit of length.
+_ACCELERATION: Final = re.compile(
+    r"([munck]?m|ft|in)(?:ch)?(?: ?/ ?s(?:ec)?(?:\^|\*\*)?[2²]|[ .*·]?s(?:ec)?\^?(?:-2|⁻²))"
+)
 #: Notations of degrees Celsius, which no factor converts to other units.
 _CELSIUS_UNITS: Final = ("°C", "degC", "deg C", "℃")
 
@@ -128,6 +119,8 @@ def unit_in_name(name: str) -> str:
 def _known_unit(text: str) -> str | None:
     if text in _CELSIUS_UNITS:
         return "degC"
+    if match := _ACCELERATION.fullmatch(text):
+        return normalise_unit(f"{match[1]}/s^2")
     try:
         return normalise_unit(_UNIT_BY_WORD.get(text) or _UNIT_BY_WORD.get(text.lower(), text))
     except ValueError:

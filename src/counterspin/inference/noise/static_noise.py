@@ -218,7 +218,6 @@ def split_segments(time: Array, values: Array) -> Segments:
         for start, sample_index, segment_values in segments
     ]
     recorded_fraction = 1.0 if is_filled else recorded_fraction
-    # A coarse signal may keep its value in the first rows.
     first_values = good_values[:4096] if np.ptp(good_values[:4096]) else good_values
     value_steps = np.diff(np.unique(first_values))
     resolution = float(value_steps.min()) if value_steps.size else 0.0
