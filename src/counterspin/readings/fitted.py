@@ -146,7 +146,8 @@ class FittedReadings:
         positions = evaluate_positions(
             linear, [*single_readings, *group.replicates], solution, model, noise
         )
-        n_outliers = sum(position.p < significance(positions) for position in positions)
+        limit = -normal_quantile(0.5 * significance(positions)) if noise is None else math.inf
+        n_outliers = sum(abs(position.standardized) > limit for position in positions)
         return replace(
             self,
             gross_errors=_gross_errors(linear, fit, positions) if n_outliers > 1 else (),
@@ -175,7 +176,7 @@ class FittedReadings:
             return []
         positions = [*self.positions, *self.single_readings]
         level = significance(positions)
-        if self.gross_errors and self.has_external_noise:
+        if self.gross_errors:
             positions = list(self.gross_errors)
         z = [position.studentized for position in positions]
         outliers: list[OutlyingReadings] = []
