@@ -68,20 +68,32 @@ def test_head_angle_is_zero_with_input_axis_up():
 
 
 def test_opposite_sense_column_is_change_of_coriolis_force():
-    """By 4 R w Omega sin L, of opposite signs inward and outward; not where an angle shows it."""
+    """By 4 R w Omega sin L, of opposite signs inward and outward.
+
+    An angle shows the sense, but not the sign of the latitude.
+    """
     test = make_arm_test()
     readings = make_readings(test, np.zeros(len(test[0])), 1e-6)
-    (column,) = (
-        other.columns[0]
-        for other in candidate_columns(readings, 0, {"K_I"}, set())
-        if other.kind == REVERSED
+    (stated, shown, partly_shown) = (
+        [
+            other
+            for other in candidate_columns(replace(readings, stated_sense=sense), 0, {"K_I"}, set())
+            if other.kind == REVERSED
+        ]
+        for sense in (1.0, 0.0, np.arange(len(test[0])) % 2.0)
     )
     rates = readings.stations.rate
     side = np.array([1.0 if name == "inward" else -1.0 for name in readings.mountings])
     expected = -4.0 * side * rates * 7.292115e-5 * math.sin(0.8) / 9.80665
-    np.testing.assert_allclose(column, expected, rtol=1e-9)
-    shown = replace(readings, stated_sense=0.0)
-    assert not any(other.kind == REVERSED for other in candidate_columns(shown, 0, {"K_I"}, set()))
+    sense, latitude = "a rotation opposite to the stated sense", "a latitude of the opposite sign"
+    assert [other.symbol for other in stated] == [f"{sense} or {latitude}"]
+    assert [other.symbol for other in shown] == [latitude]
+    assert [other.symbol for other in partly_shown] == [sense, latitude]
+    for other in (*stated, *shown, partly_shown[1]):
+        np.testing.assert_allclose(other.columns[0], expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        partly_shown[0].columns[0], expected * (np.arange(len(test[0])) % 2.0), rtol=1e-9
+    )
 
 
 def test_positions_about_other_axis_have_no_head_angle():

@@ -3,7 +3,9 @@
 import math
 import re
 
+import arm_records
 import numpy as np
+import polars as pl
 import pytest
 from campaigns import write_description
 from reading_descriptions import format_arm_run, format_rest_run
@@ -205,3 +207,45 @@ def test_readings_that_determine_nothing_have_no_faults(tmp_path):
     result = calibrate(write_description(tmp_path, "".join([TUMBLE, *runs])).parent)
     assert result.state == "not-determined"
     assert result.accelerometers["A"].unseen_faults == []
+
+
+def calibrate_arm_records(folder, head, noise=2e-3):
+    """Calibrate five records with the input axis inward and five with it outward."""
+    rng, parts = np.random.default_rng(6), [head]
+    for side in (1, -1):
+        for size in (1, 4, 8, 12, 16):
+            rate = math.sqrt(size * arm_records.GRAVITY / arm_records.RADIUS)
+            name = f"{'in' if side > 0 else 'out'}{size}"
+            record = arm_records.simulate_arm_record(rng, side, rate, noise=noise, encoder=1e-6)
+            pl.DataFrame(record).write_csv(folder / f"{name}.csv")
+            parts.append(arm_records.format_arm_run(name, side, rate))
+    return calibrate(write_description(folder, "".join(parts)).parent)
+
+
+def test_wrong_hemisphere_with_measured_sense_is_unseen_fault(tmp_path):
+    """The angle shows the sense of rotation, but not the sign of the latitude."""
+    head = arm_records.DESCRIPTION_HEAD
+    latitude = f"{arm_records.LATITUDE} rad"
+    results = []
+    for name, changed_head in (
+        ("right", head),
+        ("wrong", head.replace(latitude, f"-{latitude}")),
+    ):
+        (tmp_path / name).mkdir()
+        results.append(calibrate_arm_records(tmp_path / name, changed_head))
+    right, wrong = (result.accelerometers["A"] for result in results)
+    assert wrong.state == "good"
+    for fault_list in (right.unseen_faults, wrong.unseen_faults):
+        (clause,) = (text for text in fault_list if "opposite sign" in text)
+        assert clause.startswith("a latitude of the opposite sign shifts ")
+        symbol, times = re.search(r"shifts (\w+) by .* \(([\d.]+) u", clause).groups()
+        a, b = (result.coefficients[symbol] for result in (right, wrong))
+        assert abs(a.value - b.value) / a.u == pytest.approx(float(times), rel=0.1)
+
+
+def test_stated_sense_and_hemisphere_are_one_fault(tmp_path):
+    result = calibrate_on_arm(tmp_path, 0.0, head=CUBIC, sigma=30.0 * SIGMA)
+    (clause,) = (text for text in result.accelerometers["A"].unseen_faults if "sense" in text)
+    assert clause.startswith(
+        "a rotation opposite to the stated sense or a latitude of the opposite sign shifts K_I by "
+    )

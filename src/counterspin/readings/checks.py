@@ -319,7 +319,7 @@ def pattern_clause(alternative: Alternative) -> str:
         "between two ranges of a meter",
         STEP: f'have a step that starts at "{alternative.symbol}"',
         SENSE: "depend on the sense of rotation of the machine",
-        REVERSED: "have the pattern of a rotation opposite to the stated sense",
+        REVERSED: f"have the pattern of {alternative.symbol}",
         HYSTERESIS: f"depend on {_HYSTERESIS_CAUSES.get(alternative.symbol)} (hysteresis)",
     }[alternative.kind]
 

@@ -96,6 +96,10 @@ _MIN_READINGS_PER_PERIOD: Final = 4
 BIAS_LABEL: Final = "bias"
 SCALE_FACTOR_LABEL: Final = "scale factor"
 
+#: Mistakes that reverse the Coriolis force along the arm.
+_OTHER_SENSE: Final = "a rotation opposite to the stated sense"
+_OTHER_HEMISPHERE: Final = "a latitude of the opposite sign"
+
 #: Correlation of projected columns above which they are equivalent.
 _COLLINEAR: Final = 0.999
 
@@ -181,7 +185,7 @@ def candidate_columns(
         *_gain_steps(forces),
         *_hysteresis(readings),
         *_rotation_senses(readings),
-        *_reversed_rotation(readings, forces),
+        *_reversed_coriolis(readings, forces),
     ):
         yield Alternative(kind, readings.accelerometer, symbol, {index: column})
 
@@ -351,16 +355,26 @@ def _rotation_senses(readings: Readings) -> Iterator[_Column]:
         yield SENSE, "sense of rotation", sense
 
 
-def _reversed_rotation(readings: Readings, forces: Array) -> Iterator[_Column]:
-    """Yield the change of the Coriolis force for a rotation opposite to the stated sense.
+def _reversed_coriolis(readings: Readings, forces: Array) -> Iterator[_Column]:
+    """Yield the changes of the Coriolis force for the other sense and the other hemisphere.
 
     forces: Specific force along the input axis, g, shape (n,).
     """
     rate = (1.0 - 2.0 * np.asarray(readings.stated_sense)) * readings.stations.rate
-    reversed_readings = replace(readings, stations=replace(readings.stations, rate=rate))
-    change = reversed_readings.products({})[:, [*TERMS].index("K_I")] - forces
-    if np.ptp(change) > 0.0:
-        yield REVERSED, "other sense of rotation", change
+    other_sense = replace(readings, stations=replace(readings.stations, rate=rate))
+    site = replace(readings.site, latitude=-readings.site.latitude)
+    sense_change, site_change = (
+        changed.products({})[:, [*TERMS].index("K_I")] - forces
+        for changed in (other_sense, replace(readings, site=site))
+    )
+    if np.allclose(sense_change, site_change, rtol=0.0, atol=1e-12):
+        name = f"{_OTHER_SENSE} or {_OTHER_HEMISPHERE}"
+        columns = [(name, sense_change)]
+    else:
+        columns = [(_OTHER_SENSE, sense_change), (_OTHER_HEMISPHERE, site_change)]
+    for name, change in columns:
+        if np.ptp(change) > 0.0:
+            yield REVERSED, name, change
 
 
 # Selection of the best pattern -----------------------------------------------------------------

@@ -189,7 +189,7 @@ def _typical_size(campaign: Campaign, group: FittedReadings, fault: Alternative)
 
 def _describe_fault(fault: Alternative, size: float) -> str:
     if fault.kind == REVERSED:
-        return "a rotation opposite to the stated sense"
+        return fault.symbol
     if fault.kind == STEP:
         return f'a bias step of {format_magnitude("K_F", size, 3)} starting at "{fault.symbol}"'
     if fault.kind == RANGE:

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from campaigns import PLACE, format_runs, replace_parts, write_description
 from mistaken_campaigns import (
@@ -554,3 +555,39 @@ def test_uncertainty_covers_typical_asymmetry_or_fifth_order(tmp_path, symbol, v
     for name, true in {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5}.items():
         c = result[f"Qx.{name}"]
         assert abs(c.value - true) < 3.0 * c.u
+
+
+def calibrate_few_force_rows(folder, *changes, gain=1.0):
+    """Calibrate specific-force records with few rows, and with another gain in the fast run."""
+    text = replace_parts(
+        VELOCITIES,
+        ("velocity = {", "specific_force = {"),
+        ('"m/s" }', '"m/s^2" }'),
+        ('velocity = "1e-3 m/s"', 'specific_force = "1e-4 m/s^2"'),
+    )
+    text = f'{text}\n[truth.noise]\nspecific_force = "1e-4 m/s^2"\nangle = "1e-6 rad"\n'
+    text = re.sub('sampling_rate = ".*?"', 'sampling_rate = "12 Hz"', text)
+    simulate(write_description(folder, text), folder / "made")
+    record = folder / "made" / "fast.csv"
+    table = pl.read_csv(record)
+    table.with_columns(pl.col("east") * gain).write_csv(record)
+    stated = (folder / "made" / "campaign.toml").read_text()
+    return calibrate(write_description(folder / "made", replace_parts(stated, *changes)).parent)
+
+
+def test_gain_of_one_run_does_not_pass_as_ripple(tmp_path):
+    """K_III, K_5 and the ripples absorb it, the ripples beyond the noise of the angle."""
+    (tmp_path / "right").mkdir()
+    (tmp_path / "wrong").mkdir()
+    assert calibrate_few_force_rows(tmp_path / "right").findings == []
+    wrong = calibrate_few_force_rows(tmp_path / "wrong", gain=1.0 + 5e-5)
+    assert wrong.state == "contradicted"
+    assert "scale of the record of Qx in fast" in wrong.findings[0].text
+
+
+def test_wrong_sign_of_latitude_is_named(tmp_path):
+    wrong = calibrate_few_force_rows(tmp_path, ('"45.75 deg"', '"-45.75 deg"'))
+    assert wrong.state == "contradicted"
+    finding = wrong.findings[0]
+    assert (finding.code, finding.subject) == ("wrong-input", "site.latitude")
+    assert "with a latitude of 45.75 deg instead of the stated -45.75 deg" in finding.text

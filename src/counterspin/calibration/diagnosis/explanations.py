@@ -27,6 +27,7 @@ class Explanation(PriorExplanation):
             mistakes.RESPONSE: self._describe_response,
             mistakes.ANGLE: self._describe_angle,
             mistakes.CORIOLIS: self._describe_coriolis,
+            mistakes.HEMISPHERE: self._describe_hemisphere,
             mistakes.BIAS: self._describe_bias,
             mistakes.BIAS_DRIFT: self._describe_drift,
             mistakes.JUMP: self._describe_step,
@@ -148,6 +149,17 @@ class Explanation(PriorExplanation):
         name = f"velocity used for the Coriolis acceleration: {owner_text}"
         return FindingText(
             code="own-velocity", subject=self.alternative.symbol, text=text, name=name
+        )
+
+    def _describe_hemisphere(self) -> FindingText:
+        latitude = math.degrees(self.campaign.latitude.value)
+        other_text, stated_text = (format_number(value, 6) for value in (-latitude, latitude))
+        text = (
+            f"The records would fit with a latitude of {other_text} deg instead of the stated "
+            f"{stated_text} deg. A southern latitude is negative. Check the sign."
+        )
+        return FindingText(
+            code="wrong-input", subject="site.latitude", text=text, name="sign of the latitude"
         )
 
     def _describe_bias(self) -> FindingText:

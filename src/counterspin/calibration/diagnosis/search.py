@@ -59,6 +59,7 @@ from counterspin.inference.joint.alternatives import (
     ScoreTests,
     default_prior_alternatives,
     prior_alternatives,
+    rotation_alternatives,
     run_score_tests,
 )
 from counterspin.inference.joint.estimated_noise import undetected_walk_covariance
@@ -127,9 +128,10 @@ def find_causes(
     )
     priors = prior_alternatives(relaxed_estimate.fit)
     mounting = find_better_mounting(mountings)
+    # An error of the records may look like a rotation that differs from the recorded angle.
     # Without records, default priors are also tested from the solved equations.
     tested_alternatives = (
-        priors
+        (*priors, *rotation_alternatives(relaxed_estimate.fit))
         if relaxed_estimate.fit.design_blocks
         else (*priors, *default_prior_alternatives(relaxed_estimate.fit))
     )
@@ -344,6 +346,7 @@ def _alternative_hypotheses(
     default_trends = {view.name: campaign.typical_of("K_F.trend", view.name) for view in views}
     yield from mistakes.record_mistakes(fit, default_trends, has_recorded_angle=has_angle)
     yield from mistakes.coriolis_mistakes(fit, uses_own_velocity=campaign.own_velocity)
+    yield from () if campaign.readings else mistakes.hemisphere_mistakes(fit)
     terms = {
         unknown: campaign.typical_of(unknown.symbol, unknown.owner)
         for view in views

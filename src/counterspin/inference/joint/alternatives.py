@@ -137,6 +137,15 @@ def default_prior_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
     )
 
 
+def rotation_alternatives(fit: JointFit) -> tuple[Alternative, ...]:
+    """Return the alternatives of a rotation that differs from the recorded angle."""
+    return tuple(
+        Alternative("rotation", *_owner_and_symbol(unknown), prior_shifts={index: 1.0})
+        for index, unknown in enumerate(fit.model.unknowns)
+        if math.isfinite(unknown.prior[1]) and unknown.symbol in encoder.SYMBOLS
+    )
+
+
 def _unknowns_with_prior(fit: JointFit) -> list[tuple[int, Unknown]]:
     """Return indices and unknowns with a prior, without encoder terms."""
     return [

@@ -42,11 +42,15 @@ BIAS: Final = "bias"  #: change of the bias of an accelerometer in a run, g
 BIAS_DRIFT: Final = "bias drift"  #: drift from the start of a run or of each run, g/s
 JUMP: Final = "jump"  #: step of a record, in its unit
 CORIOLIS: Final = "coriolis"  #: fraction of the error velocity that is wrongly included
+HEMISPHERE: Final = "hemisphere"  #: 1 if the sign of the latitude is wrong, 0 if it is right
 SLOPE: Final = "slope"  #: change of the slope of a record, in its unit per second
 BIAS_STEP: Final = "bias step"  #: step of the bias of an accelerometer during a run, g
 
 #: Credible estimates of the Coriolis fraction, which is 0 or 1.
 _FULL_CORIOLIS_RANGE: Final = (0.8, 1.2)
+
+#: Credible estimates of a wrong hemisphere, of which the records may show little.
+_HEMISPHERE_RANGE: Final = (0.5, 1.5)
 
 #: Ranges of scale and angle (rad) errors that the reading of records does not reject.
 _SCALE_RANGE: Final = (-0.5, 0.5)
@@ -204,6 +208,18 @@ def coriolis_mistakes(fit: JointFit, *, uses_own_velocity: bool) -> Iterator[Alt
         yield Alternative(
             CORIOLIS, "", "records.reference", columns, credible_range=_FULL_CORIOLIS_RANGE
         )
+
+
+def hemisphere_mistakes(fit: JointFit) -> Iterator[Alternative]:
+    """Yield the mistake that the latitude has the wrong sign, if it affects the records."""
+    columns = {}
+    for i, block in enumerate(fit.design_blocks):
+        trajectory = block.series.trajectory
+        site = replace(trajectory.site, latitude=-trajectory.site.latitude)
+        other_reference = block.series.reference(replace(trajectory, site=site))
+        columns[i] = other_reference - block.series.reference()
+    if any(column.any() for column in columns.values()):
+        yield Alternative(HEMISPHERE, "", HEMISPHERE, columns, credible_range=_HEMISPHERE_RANGE)
 
 
 def evaluate_alternative(fit: JointFit, alternative: Alternative, value: float) -> Alternative:
