@@ -34,6 +34,9 @@ PRIORS = (
 MODEL = '[model]\nassume = "all"\n'
 
 
+NO_ANGLE = ('angle = { column = "angle_rad", unit = "rad" }\n', "")
+
+
 def extend_model(model):
     """Return the replacement that adds lines to [model]."""
     return (MODEL, f"{MODEL}{model}\n")
@@ -527,9 +530,8 @@ def test_as_printed_model_returns_half_with_warning(tmp_path):
 
 
 def test_drift_is_estimated_without_angle(tmp_path, capsys):
-    no_angle = ('angle = { column = "angle_rad", unit = "rad" }\n', "")
     ripple = ('ripple = [{ harmonic = 1, ratio = 1e-5, phase = "30 deg" }]\n', "")
-    folder = make_records(tmp_path, no_angle, ripple, PRIORS)
+    folder = make_records(tmp_path, NO_ANGLE, ripple, PRIORS)
     result = calibrate(folder, method="two-stage")
     drift = qx(result).second_unknown["spindle.drift"]
     assert (drift.estimated, drift.unit) == (True, "1/s")
@@ -629,13 +631,18 @@ def test_option_text_is_valid_on_command_line(key, tmp_path, monkeypatch):
 # --- the scale factor, which strobes do not determine ---------------------------------------------
 
 
+@pytest.mark.parametrize("with_angle", [True, False])
 @pytest.mark.parametrize(
     ("scale", "message"), [("1.002", False), ("1.09", False), ("1.11", True), ("0.89", True)]
 )
-def test_harmonics_reveal_incredible_scale_factor(tmp_path, scale, message):
-    """Beyond 0.1 of nominal, whatever the prior; the harmonics determine it to 1e-3."""
+def test_harmonics_reveal_incredible_scale_factor(tmp_path, scale, message, with_angle):
+    """Beyond 0.1 of nominal, whatever the prior; the harmonics determine it to 1e-3.
+
+    Without an angle, they also determine the start angle.
+    """
+    start = () if with_angle else (NO_ANGLE, ("drift =", 'start_angle = "2 rad"\ndrift ='))
     limits = extend_model('limits = { K_I = "1 g/g" }')
-    folder = make_records(tmp_path, limits, ('K_I = "1.002 g/g"', f'K_I = "{scale} g/g"'))
+    folder = make_records(tmp_path, limits, ('K_I = "1.002 g/g"', f'K_I = "{scale} g/g"'), *start)
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     write_description(folder, replace_parts(text, (limits[1], MODEL)))
     accelerometer = qx(calibrate(folder, method="two-stage"))

@@ -48,7 +48,7 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import encoder, estimation
 from counterspin.inference.joint.budget import budget
 from counterspin.inference.joint.estimation import Estimate, correct_series
-from counterspin.inference.joint.series import ResidualSeries
+from counterspin.inference.joint.series import ResidualSeries, rotation_column
 from counterspin.inference.joint.unknowns import RIPPLE, ROTATION, Unknowns, unit_of
 from counterspin.inference.joint.what_if import what_if
 from counterspin.inference.noise.components import BIAS_COMPONENTS_BY_KEY
@@ -291,9 +291,19 @@ def _harmonic_scale_factor(all_series: Iterable[ResidualSeries]) -> Coefficient:
     """
     columns = []
     for series in all_series:
+        waves = [series.columns(["K_I"], 1.0)[:, 0]]
+        if series.angle_error is None:  # The start angle is unknown.
+            waves.append(rotation_column(series, ROTATION[0]))
         drifts = np.vander(series.time / series.time[-1], 4)
-        signals = np.column_stack([series.columns(["K_I"], 1.0)[:, 0], series.error])
-        columns.append(signals - drifts @ np.linalg.lstsq(drifts, signals, rcond=None)[0])
+        signals = np.column_stack([*waves, series.error])
+        signals -= drifts @ np.linalg.lstsq(drifts, signals, rcond=None)[0]
+        scale_column, error = signals[:, 0], signals[:, -1]
+        if series.angle_error is None:
+            output = scale_column + error
+            amplitudes = np.linalg.lstsq(signals[:, :-1], output, rcond=None)[0]
+            scale_column = signals[:, :-1] @ amplitudes / np.linalg.norm(amplitudes)
+            error = output - scale_column
+        columns.append(np.column_stack([scale_column, error]))
     scale_column, error = np.concatenate(columns).T
     squared_norm = float(scale_column @ scale_column)
     scale_change = float(scale_column @ error) / squared_norm
