@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+from datetime import UTC, datetime
 from pathlib import Path
 
 import frames
@@ -20,6 +21,7 @@ from counterspin.comparisons.result import ResultComparison
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import term
 from counterspin.reports.blocks import Paragraph, Plot, Table
+from counterspin.reports.publication import make_publication
 
 TERMS = ["K_F", "K_I", "K_II"]
 TRIALS = 10
@@ -426,6 +428,15 @@ def test_contradicted_result_is_reported():
         text = comparison_text(cs.compare(make_result(), result, names=["old", "new"]))
         assert (words in text) is is_reported
         assert "contradict old" not in text
+
+
+def test_report_is_typeset():
+    text = make_publication(cs.compare(make_result(), make_result(2.6e-5))).text(
+        ".md", datetime(2026, 3, 1, tzinfo=UTC)
+    )
+    assert "µg/g²" in text
+    assert "−1.0000" in text
+    assert "ug/g^2" not in text
 
 
 def test_plot_names_only_results_with_value():

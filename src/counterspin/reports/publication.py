@@ -95,7 +95,11 @@ def make_publication(result: ReportableResult, identifier: str | None = None) ->
 
     identifier: Identifier of the report; None: that of the result.
     """
-    blocks = add_seal_warning(result, load_name(result.REPORT_BLOCKS or result.BLOCKS)(result))
+    # The blocks of a report are typeset already, except names and checksums of files.
+    page_blocks: Iterable[Block] = load_name(result.REPORT_BLOCKS or result.BLOCKS)(result)
+    if not result.REPORT_BLOCKS:
+        page_blocks = map(typeset_block, page_blocks)
+    blocks = add_seal_warning(result, page_blocks)
     title = next((block.text for block in blocks if isinstance(block, Heading)), result.KIND)
     return Publication(result.report_kind(), title, identifier or result.identifier, blocks)
 
