@@ -271,3 +271,33 @@ def test_simulated_records_return_true_coefficients():
     assert all(abs(error) < 4.0 * u for error, u in coefficient_errors(result).values())
     assert coefficient_errors(result)["K_I"][1] < 1e-6
     assert {finding.code for finding in result.findings} == {"time-base"}
+
+
+def test_settling_records_at_rest_are_not_called_stated():
+    rng, time = np.random.default_rng(4), np.arange(0.0, 60.0, 0.02)
+    runs, records = [], {}
+    for k in range(12):
+        direction = ("up", "down")[k % 2]
+        axes = {"input": direction, "pendulous": "east"}
+        runs.append({"name": f"r{k}", "motion": "static", "axes": axes})
+        level = 2e-3 + (1.0 if direction == "up" else -1.0)
+        noise = 2e-5 * rng.standard_normal(time.size)
+        records[f"r{k}"] = {"t": time, "f": level + 2e-3 * np.exp(-time / 5.0) + noise}
+    description = {
+        "site": {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg"},
+        "records": {"time": {"column": "t", "unit": "s"}},
+        "accelerometers": {
+            "A": {
+                "input_axis": "up",
+                "pendulous_axis": "east",
+                "specific_force": {"column": "f", "unit": "g"},
+            }
+        },
+        "model": {"terms": ["K_F", "K_I"], "assume": "all"},
+        "runs": runs,
+    }
+    result = cs.calibrate(cs.make_campaign(description, records))
+    (remark,) = (text for text in result.warnings if "scatter by" in text)
+    assert "times the uncertainty computed from the records, 3" in remark
+    assert "omit that part with `start` or `stop`" in remark
+    assert "stated" not in remark

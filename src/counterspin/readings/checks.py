@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -412,10 +412,14 @@ def record_outlier_findings(
     ]
 
 
-def overstated_noise_remarks(views: Sequence[AccelerometerView]) -> Iterator[str]:
+def overstated_noise_remarks(
+    views: Sequence[AccelerometerView], means: Collection[tuple[str, str]]
+) -> Iterator[str]:
     """Yield a remark for each group of readings or poses with overstated noise.
 
     u is then too large, which is no reason to reject the result.
+
+    means: Accelerometer and name of each reading that is the mean of a record.
     """
     stated_groups = {
         id(group.readings): group
@@ -435,9 +439,21 @@ def overstated_noise_remarks(views: Sequence[AccelerometerView]) -> Iterator[str
         u = median(group.sigma)
         scatter_text, stated_text = (f"{format_number(1e6 * sd, 2)} ug" for sd in (ratio * u, u))
         name = TRIAD if group.readings.triad else group.readings.accelerometer
+        is_recorded = all((name, reading) in means for reading in group.readings.names)
+        origin, advice = (
+            (
+                "uncertainty computed from the records,",
+                "If all records settle or drift in the same way, omit that part with `start` or "
+                "`stop`.",
+            )
+            if is_recorded
+            else (
+                "stated uncertainty of",
+                "State the noise of individual readings, and state errors common to all readings "
+                "as priors.",
+            )
+        )
         yield (
             f"{name}: the {group.label} scatter by {scatter_text}, {format_number(ratio, 2)} "
-            f"times the stated uncertainty of {stated_text}. The reported uncertainty u is too "
-            "large. State the noise of individual readings, and state errors common to all "
-            "readings as priors."
+            f"times the {origin} {stated_text}. The reported uncertainty u is too large. {advice}"
         )

@@ -110,7 +110,7 @@ class ReadingsAndPoses(ReadingData):
     def remarks(self, views: Sequence[AccelerometerView]) -> Iterator[str]:
         """Yield remarks on noise, and on records without an angle."""
         yield from rounding_remarks(views)
-        yield from overstated_noise_remarks(views)
+        yield from overstated_noise_remarks(views, self.recorded.means)
         if self.recorded.without_angle:
             yield (
                 f"The records of {', '.join(self.recorded.without_angle)} contain no angle, so "
