@@ -47,7 +47,7 @@ _ERROR_COLUMNS = (
 _COVERAGE_COLUMNS = (
     Column("Coefficient"),
     *(
-        Column(f"Coverage of the {100 * level:.0f} % intervals", align="right")
+        Column(f"Coverage of the {100 * level:.0f} % intervals, %", align="right")
         for level in CONFIDENCE_LEVELS
     ),
 )
