@@ -1,9 +1,11 @@
 """Messages with the names of command-line options."""
 
+from pathlib import Path
+
 import pytest
 
 from counterspin import cli
-from counterspin.cli.common import translate_message
+from counterspin.cli.common import quote_path, translate_message
 
 
 @pytest.mark.parametrize(
@@ -24,6 +26,15 @@ from counterspin.cli.common import translate_message
 )
 def test_arguments_in_messages_become_options(words, raised, message):
     assert translate_message(raised, cli.app, words) == message
+
+
+def test_quoted_path_is_no_option():
+    assert [quote_path(Path(p)) for p in ("-x", "a b", "./-y/z", "a-b")] == [
+        "./-x",
+        "'a b'",
+        "./-y/z",
+        "a-b",
+    ]
 
 
 def test_error_names_options_of_command(tmp_path, capsys):

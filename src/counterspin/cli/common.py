@@ -158,8 +158,8 @@ _ARGUMENT: Final = re.compile(
 
 
 def quote_path(path: Path) -> str:
-    """Return a path, quoted for the shell."""
-    return quote_word(str(path))
+    """Return a path, quoted for the shell; it never looks like an option."""
+    return quote_word(f"./{path}" if str(path).startswith("-") else str(path))
 
 
 def print_output(*lines: str) -> None:
