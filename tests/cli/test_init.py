@@ -2,6 +2,11 @@
 
 import io
 import math
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -125,4 +130,30 @@ def test_rejects_invalid_options(tmp_path, plain_folder, capsys):
     assert "answer: radius has two different answers" in capsys.readouterr().err
     assert main(["init", str(tmp_path / "new"), "--from"]) == 2
     assert capsys.readouterr().err == "counterspin: init: give the data files: --from FILE ...\n"
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
+def test_interrupt_ends_prompt_at_once(tmp_path, plain_folder):
+    terminal, stdin = os.openpty()
+    words = ["init", str(tmp_path / "new"), "--from", str(plain_folder / "slow.csv")]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "counterspin", *words],
+        stdin=stdin,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        output = b""
+        while not output.endswith(b"> "):
+            output += os.read(process.stdout.fileno(), 4096)
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=10)
+    finally:
+        process.kill()
+        os.close(terminal)
+        os.close(stdin)
+    assert (process.returncode, error) == (130, b"counterspin: stopped\n")
     assert not (tmp_path / "new").exists()

@@ -8,7 +8,13 @@ from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from counterspin.cli.common import OutputFile, command, option_group, print_output
+from counterspin.cli.common import (
+    OutputFile,
+    command,
+    make_prompts_interruptible,
+    option_group,
+    print_output,
+)
 from counterspin.errors import CampaignError, UsageError
 from counterspin.frozen import frozen
 
@@ -98,6 +104,7 @@ def _read_password(key: Path) -> str:
             [f"{key}: is encrypted; give its password on standard input"],
             code="password-needed",
         )
+    make_prompts_interruptible()
     if sys.stdin.isatty():
         return getpass(f"Password of {key}: ")
     return sys.stdin.readline().rstrip("\r\n")

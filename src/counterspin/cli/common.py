@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -160,6 +161,12 @@ _ARGUMENT: Final = re.compile(
 def quote_path(path: Path) -> str:
     """Return a path, quoted for the shell; it never looks like an option."""
     return quote_word(f"./{path}" if str(path).startswith("-") else str(path))
+
+
+def make_prompts_interruptible() -> None:
+    """Let Ctrl-C end a prompt at once; polars lets the operating system continue to read."""
+    if hasattr(signal, "siginterrupt"):  # not on Windows
+        signal.siginterrupt(signal.SIGINT, True)
 
 
 def print_output(*lines: str) -> None:

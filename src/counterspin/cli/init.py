@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import Parameter
 
-from counterspin.cli.common import command, print_output, quote_path
+from counterspin.cli.common import (
+    command,
+    make_prompts_interruptible,
+    print_output,
+    quote_path,
+)
 from counterspin.errors import CampaignError, CounterspinError, UsageError
 from counterspin.ingest.starter import Test
 
@@ -176,6 +181,7 @@ def _prompt(question: FileQuestion) -> str:
     hint_text = " or ".join(question.choices) or f"for example {question.example}"
     default_text = f"; Enter: {question.guess}" if question.guess else ""
     print_output(f"{question.text} ({hint_text}{default_text})")
+    make_prompts_interruptible()
     while True:
         try:
             answer = input("> ").strip() or question.guess or ""
