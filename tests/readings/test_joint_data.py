@@ -586,14 +586,14 @@ def test_repairs_of_record_are_counted_and_shown(tmp_path, capsys):
         "gaps": 1,
         "block": 1,
     }
-    assert "1 repeated rows were dropped." in first.notes
+    assert "1 repeated row was dropped." in first.notes
     assert (second.counts["outliers"], third.samples, third.counts) == (63, None, {})
     (many,) = [f for f in result.findings if f.code == "many-outliers"]
     assert many.subject == "A.tumble 1"
     assert "63 of 1000 samples were rejected as outliers" in many.text
     print_result(result, details=True)
     page = " ".join(capsys.readouterr().out.split())
-    assert "tumble 0: 1 outliers in column 'mA' were rejected." in page
+    assert "tumble 0: 1 outlier in column 'mA' was rejected." in page
     assert (
         "tumble 0: 1001 rows, 1 repeated row, 1 empty cell, 1 outlier, 1 gap, 1 sample per block."
         in page

@@ -430,7 +430,7 @@ class AccelerometersReader:
             path = ("accelerometers", name, observable, "unit")
             if output is None:
                 self.problems.add(
-                    path, f"{error}; or give output =  {{ unit, sensitivity }}", error_code(error)
+                    path, f"{error}; or give output = {{ unit, sensitivity }}", error_code(error)
                 )
                 return ColumnSpec("")
             factor = self.problems.collect(path, unit_factor, column.unit, output.unit) or 1.0

@@ -93,13 +93,22 @@ class RecordReport:
             notes.append(f"{self.outside} rows outside the selected part were omitted.")
         if self.repeated:
             text = f", {self.differing} of them with different values" if self.differing else ""
-            notes.append(f"{self.repeated} repeated rows were dropped{text}.")
+            rows = (
+                "1 repeated row was"
+                if self.repeated == 1
+                else f"{self.repeated} repeated rows were"
+            )
+            notes.append(f"{rows} dropped{text}.")
         for column, count in self.empty.items():
             if count:
-                notes.append(f"{count} empty cells in column '{column}' were omitted.")
+                text, verb = (
+                    ("1 empty cell", "was") if count == 1 else (f"{count} empty cells", "were")
+                )
+                notes.append(f"{text} in column '{column}' {verb} omitted.")
         for column, count in self.outliers.items():
             if count:
-                notes.append(f"{count} outliers in column '{column}' were rejected.")
+                text, verb = ("1 outlier", "was") if count == 1 else (f"{count} outliers", "were")
+                notes.append(f"{text} in column '{column}' {verb} rejected.")
         if self.isolated:
             text = "1 row separated" if self.isolated == 1 else f"{self.isolated} rows separated"
             verb = "was" if self.isolated == 1 else "were"
