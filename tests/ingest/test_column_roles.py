@@ -192,3 +192,16 @@ def test_lost_rows_without_gap_in_time_leave_unit_of_angle():
         )
     )
     assert (guess.angle.unit, guess.angle.per_revolution) == ("rad", None)
+
+
+@pytest.mark.parametrize("kind", ["dropout", "repeats"])
+def test_faulty_signal_leaves_its_phase(kind):
+    """The phase determines the zero of the encoder in the description."""
+    rows = np.arange(TIME.size)
+    east = signal() + 50.0
+    if kind == "dropout":
+        east[600:640] = 0.0
+    else:
+        east = east[rows // 3 * 3]
+    guess = guess_file(seen(time_s=TIME, angle_rad=RATE * TIME, east_m=east))
+    assert guess.signals[0].phase == pytest.approx(0.0, abs=2e-3)

@@ -31,6 +31,7 @@ from counterspin.ingest.column_values import (
     temperature_scale,
     time_unit_from_values,
     unwrap_values,
+    without_repeats,
 )
 from counterspin.ingest.contents import FileColumn, FileContents, find_frequency, fit_wave
 from counterspin.records.sampling import estimate_row_rate, has_shared_times
@@ -558,9 +559,9 @@ def _guess_signal(
     phase = None
     amplitude = 0.0
     if theta is not None:
-        amplitude, phase = fit_wave(theta, column.values)
+        amplitude, phase = fit_wave(theta, without_repeats(column.values), reject_outliers=True)
     elif rate is not None:
-        amplitude, _ = fit_wave(rate * time, column.values)
+        amplitude, _ = fit_wave(rate * time, column.values, reject_outliers=True)
     has_file_unit = bool(column.unit)
     axis = answers.get(f"{column.name} axis") or _guess_axis(column.name)
     return SignalGuess(column.name, observable, unit, axis, amplitude, phase, has_file_unit)

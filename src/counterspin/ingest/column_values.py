@@ -10,6 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.ingest.contents import FileColumn
+from counterspin.records.sampling import ValueHolding
 from counterspin.units import unit_factor
 
 #: Names of row number columns.
@@ -145,6 +146,15 @@ def unwrap_values(values: Array, time: Array) -> tuple[Array, float | None] | No
         [[0.0], np.cumsum(turn_counts)]
     )
     return unwrapped, period
+
+
+def without_repeats(values: Array) -> Array:
+    """Return values with NaN where a faster log repeats them, which would delay the signal."""
+    try:
+        holding = ValueHolding.detect(values)
+    except ValueError:
+        return values
+    return values if holding is None else np.where(holding.is_new(values), values, np.nan)
 
 
 def round_counts(period: float) -> float | None:

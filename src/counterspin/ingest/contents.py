@@ -320,6 +320,10 @@ _MAX_SAMPLES: Final = 1 << 16
 #: Smallest number of periods, and smallest fraction of the sum of squares, of an oscillation.
 _MIN_PERIODS: Final = 2.0
 _MIN_WAVE_FRACTION: Final = 0.5
+#: Fits without outliers, smallest number of rows for them, and limit of the residuals, in medians.
+_OUTLIER_PASSES: Final = 4
+_MIN_RECORD_ROWS: Final = 200
+_OUTLIER_LIMIT: Final = 8.0
 
 
 def find_frequency(time: Array, values: Array) -> float | None:
@@ -355,12 +359,15 @@ def find_frequency(time: Array, values: Array) -> float | None:
     )
 
 
-def fit_wave(angle: Array, values: Array, degree: int = 2) -> tuple[float, float]:
+def fit_wave(
+    angle: Array, values: Array, degree: int = 2, *, reject_outliers: bool = False
+) -> tuple[float, float]:
     """Fit values = A cos(angle + phase) + polynomial; return amplitude and phase, rad.
 
     angle: Unwrapped angles, rad, shape (n,).
     values: Values at the angles, shape (n,), NaN if missing.
     degree: Degree of the polynomial in the angle.
+    reject_outliers: Whether dropouts and outliers of a record are rejected.
     """
     is_valid = np.isfinite(angle) & np.isfinite(values)
     valid_angle, y = angle[is_valid], values[is_valid]
@@ -370,5 +377,10 @@ def fit_wave(angle: Array, values: Array, degree: int = 2) -> tuple[float, float
     design = np.column_stack(
         [np.cos(valid_angle), np.sin(valid_angle), np.vander(x, degree + 1, increasing=True)]
     )
-    a, b, *_ = np.linalg.lstsq(design, y, rcond=None)[0]
+    coefficients = np.linalg.lstsq(design, y, rcond=None)[0]
+    for _ in range(_OUTLIER_PASSES if reject_outliers and y.size > _MIN_RECORD_ROWS else 0):
+        residuals = np.abs(y - design @ coefficients)
+        is_inlier = residuals <= _OUTLIER_LIMIT * np.median(residuals)
+        coefficients = np.linalg.lstsq(design[is_inlier], y[is_inlier], rcond=None)[0]
+    a, b = coefficients[:2]
     return float(np.hypot(a, b)), float(np.arctan2(-b, a))
