@@ -87,6 +87,19 @@ def test_record_shorter_than_stated_is_finding(folder):
     assert "the record lasts 80 s instead of the 160 s stated in the campaign" in finding.text
 
 
+@pytest.mark.parametrize("part", ["", 'stop = "40 s"\n'])
+def test_record_longer_than_stated_has_remark(folder, part):
+    """The duration does not select a part of the record."""
+    line = 'record = "slow.csv"\n'
+    stated = replace_parts(SMALL, (line, f'{line}duration = "40 s"\n{part}'))
+    result = calibrate(write_and_read_campaign(folder, stated))
+    remarks = [text for text in result.warnings if "stated as duration" in text]
+    assert remarks == [] if part else len(remarks) == 1
+    for text in remarks:
+        assert text.startswith("slow: the record lasts 80 s instead of the 40 s")
+        assert "enter start or stop in the run" in text
+
+
 def test_isolated_row_is_finding_and_does_not_change_result(folder):
     before = calibrate(folder).accelerometers["Qx"].coefficients["K_II"]
     record = pl.read_csv(folder / "slow.csv")

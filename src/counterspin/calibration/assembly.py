@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin._version import __version__
@@ -92,6 +92,7 @@ def assemble_result(
         warnings=[
             *_campaign_remarks(campaign),
             *_detrending_remarks(campaign, observed_runs),
+            *_long_record_remarks(observed_runs),
             *outcome.remarks,
         ],
         provenance=Provenance(
@@ -158,10 +159,7 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
     """Return the findings on records that end early or have isolated rows at an end."""
     findings = []
     for run in observed_runs:
-        name, nominal_duration = run.run.name, run.run.duration
-        if any(map(math.isfinite, run.run.time_range)):
-            nominal_duration = None  # only a part of the record is used
-        duration = float(run.record.time[-1] - run.record.time[0])
+        name, (duration, nominal_duration) = run.run.name, _durations(run)
         if nominal_duration is not None and duration < MIN_DURATION_FRACTION * nominal_duration:
             text = (
                 f"{name}: the record lasts {duration:.4g} s instead of the "
@@ -181,6 +179,25 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
             )
             findings.append(Finding(code="lone-rows", subject=name, text=text, size=n_isolated))
     return findings
+
+
+def _durations(run: ObservedRun) -> tuple[float, float | None]:
+    """Return the duration of a record, and its stated duration if all of it is used, s."""
+    is_part = any(map(math.isfinite, run.run.time_range))
+    duration = float(run.record.time[-1] - run.record.time[0])
+    return duration, None if is_part else run.run.duration
+
+
+def _long_record_remarks(observed_runs: Sequence[ObservedRun]) -> Iterator[str]:
+    """Yield a remark on each record that is longer than its stated duration."""
+    for run in observed_runs:
+        duration, nominal_duration = _durations(run)
+        if nominal_duration is not None and nominal_duration < MIN_DURATION_FRACTION * duration:
+            yield (
+                f"{run.run.name}: the record lasts {duration:.4g} s instead of the "
+                f"{nominal_duration:.4g} s stated as duration. counterspin uses the whole record. "
+                "To use only a part, enter start or stop in the run."
+            )
 
 
 def _question_findings(campaign: Campaign) -> list[Finding]:

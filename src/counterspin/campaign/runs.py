@@ -225,7 +225,7 @@ class Run(SettingsSection):
     mounting: str = key_field("name of the position on the fixture", "in", "", applies_to=READINGS)
     duration: Seconds | None = key_field(
         "duration of the record, for [simulate](readings.md#simulating-readings); a finding "
-        "reports a record that is shorter than 90 % of this duration",
+        "reports a record that is shorter than 90 % of this duration, and a remark a longer record",
         "400 s",
         None,
         absent="by revolutions",
