@@ -7,7 +7,7 @@ import pytest
 from results import make_qx_result
 
 import counterspin as cs
-from certificates import write_lab
+from certificates import LAB, write_lab
 from counterspin import cli
 from counterspin.calibration.findings import (
     Cause,
@@ -272,6 +272,9 @@ def test_result_without_seal_is_judged_again(edited_result, tmp_path, capsys):
 def test_state_without_seal_does_not_improve(edited_result, tmp_path, stated):
     edited_result |= {"seal": None, "state": stated}
     edited_result["accelerometers"]["Qx"] |= {"state": stated, "residual": make_residual(1.0, 0.5)}
+    finding = Finding(code="cause", subject="Qx", text="It was wrong.").model_dump()
+    for part in (edited_result, edited_result["accelerometers"]["Qx"]):
+        part["findings"] = [finding]
     (tmp_path / "r.json").write_text(json.dumps(edited_result))
     again = judge_result(Result.read("r.json"))
     assert again.state == again.accelerometers["Qx"].state == stated
@@ -316,7 +319,7 @@ def test_earlier_result_is_checked_for_incredible_values(
     tmp_path, monkeypatch, capsys, symbol, value
 ):
     monkeypatch.chdir(tmp_path)
-    write_lab(tmp_path)
+    write_lab(tmp_path, LAB.replace('"0815"', '"P-7"'))
     before = write_earlier_result(tmp_path)
     earlier_result = write_earlier_result(tmp_path, **{symbol: value})
     assert not any(f.code == "incredible" for f in before.findings)
