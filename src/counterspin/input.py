@@ -146,12 +146,12 @@ def parse_json(text: str | bytes) -> Any:
 
 def _describe_json_error(error: json.JSONDecodeError) -> str:
     """Return the message of a syntax error, with line and column."""
-    text, rest = error.doc.rstrip(), error.doc[error.pos :].strip()
+    text, remaining_text = error.doc.rstrip(), error.doc[error.pos :].strip()
     is_cut = (
-        not rest
+        not remaining_text
         or error.msg.startswith("Unterminated string")
-        or any(word.startswith(rest) for word in _VALUE_PARTS)
-        or (error.msg.startswith("Invalid \\") and len(rest) < _ESCAPE_LENGTH)
+        or any(word.startswith(remaining_text) for word in _VALUE_PARTS)
+        or (error.msg.startswith("Invalid \\") and len(remaining_text) < _ESCAPE_LENGTH)
     )
     if is_cut:
         line, column = text.count("\n") + 1, len(text) - text.rfind("\n") - 1

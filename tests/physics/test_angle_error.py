@@ -113,7 +113,7 @@ def test_motion_derivatives_match_central_differences(order):
         more = Ripple(n, step, phase)
         return replace(spindle, ripples=(*spindle.ripples, more), start_angle=start)
 
-    def turned(place, step):
+    def shift_angle(place, step):
         if place == 0:
             return replace(spindle, start_angle=spindle.start_angle + step)
         n, quadrature = error.harmonics[(place - 3) // 2], ("cos", "sin")[(place - 3) % 2]
@@ -122,7 +122,7 @@ def test_motion_derivatives_match_central_differences(order):
 
     step = 1e-5
     for place in (0, *range(3, error.deviation.size)):
-        moved = (motion(turned(place, step)) - motion(turned(place, -step))) / (2 * step)
+        moved = (motion(shift_angle(place, step)) - motion(shift_angle(place, -step))) / (2 * step)
         size = np.abs(moved).max()
         np.testing.assert_allclose(changes[:, place] / size, moved / size, atol=2e-4)
     # Rate and drift: a spindle without ripple, whose harmonics would move too.

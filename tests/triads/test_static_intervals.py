@@ -81,7 +81,7 @@ def test_stated_threshold_and_rest_are_used() -> None:
     assert poses.threshold == 50.0
     assert "The record contains no motion," in poses.warnings[0]
     with raises("no-rest", "5 s", "threshold"):
-        find_poses(truth.time, truth.values, rest=5.0)
+        find_poses(truth.time, truth.values, min_rest=5.0)
     with raises("no-rest", "1.5 s", "0.01"):
         find_poses(truth.time, truth.values, threshold=0.01)
 
@@ -149,7 +149,7 @@ def test_nonuniform_sampling_is_accepted() -> None:
 def test_low_sampling_rate_is_sufficient_for_long_rests() -> None:
     truth = simulate_poses(60.0, 10.0)
     thin = slice(None, None, 100)
-    poses = find_poses(truth.time[thin], truth.values[thin], rest=20.0)
+    poses = find_poses(truth.time[thin], truth.values[thin], min_rest=20.0)
     assert len(poses.start) == 12
     with raises("too-few-rows", "1 s"):
         find_poses(truth.time[thin], truth.values[thin])
@@ -241,7 +241,7 @@ def test_file_without_header_or_time_is_read(tmp_path: Path) -> None:
     assert len(record.time) == len(truth.time)
     assert record.report.outliers == {"column 1": 0, "column 2": 0, "column 3": 1}
     with raises("no-rest", "imu.log:", "30 s"):
-        read_poses(path, columns, rest=30.0)
+        read_poses(path, columns, min_rest=30.0)
 
 
 def test_pose_times_are_times_of_file() -> None:

@@ -35,7 +35,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail, finite_dof
 from counterspin.inference.identifiability import Assessment, ConfoundedTerms
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.budget import kind_of, unknown_u_by_category
+from counterspin.inference.joint.budget import prior_kind, unknown_u_by_category
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
@@ -92,7 +92,7 @@ def prior_information(estimate: Estimate, stated_inputs: Mapping[str, Quantity])
         rows.append(
             Knowledge(
                 name=parameter.name,
-                kind=kind_of(parameter),
+                kind=prior_kind(parameter),
                 unit=parameter.unit,
                 value=offset + parameter.prior[0],
                 u=parameter.prior[1],

@@ -182,13 +182,13 @@ class Campaign:
             raise CampaignError(source.label, problems.lines)
         has_title = source.file is not None or "title" in table_of(source.document, "campaign")
         named_files = {*campaign.files, campaign.rest}
-        resolved = replace(
+        resolved_campaign = replace(
             campaign,
             path=Path(source.label),
             title=campaign.title if has_title else "",
             frames={path: table for path, table in (frames or {}).items() if path in named_files},
         )
-        return set_source(resolved, source)
+        return set_source(resolved_campaign, source)
 
     def limit_of(self, symbol: str, owner: str = "") -> float:
         """Return the largest credible magnitude of a term: as stated, or by the owner's grade.

@@ -454,16 +454,18 @@ def merge_patch(document: Mapping[str, Any], patch: Mapping[str, Any]) -> dict[s
 
     Tables are patched key by key, None removes a key, and other values are replaced.
     """
-    merged = dict(document)
+    merged_document = dict(document)
     for key, value in patch.items():
-        old_value = merged.get(key)
+        old_value = merged_document.get(key)
         if value is None:
-            merged.pop(key, None)
+            merged_document.pop(key, None)
         elif isinstance(value, Mapping):
-            merged[key] = merge_patch(old_value if isinstance(old_value, Mapping) else {}, value)
+            merged_document[key] = merge_patch(
+                old_value if isinstance(old_value, Mapping) else {}, value
+            )
         else:
-            merged[key] = value
-    return merged
+            merged_document[key] = value
+    return merged_document
 
 
 def changed_keys(old: Any, new: Any, path: KeyPath = ()) -> Iterator[str]:

@@ -289,8 +289,8 @@ def _resolve_names(
     symbols: dict[str, None] = {}
     for index, name in enumerate(names):
         path = ("model", key, index)
-        resolved = _resolve_symbols(name, path, setup, problems)
-        if resolved and set(resolved) <= set(symbols):
+        resolved_symbols = _resolve_symbols(name, path, setup, problems)
+        if resolved_symbols and set(resolved_symbols) <= set(symbols):
             problems.add(path, f'"{name}" is listed twice', "duplicate-entry")
         if key == "terms" and condition_of(name) == "force":
             problems.add(
@@ -298,7 +298,7 @@ def _resolve_names(
                 f'"{name}" cannot be separated from K_II; state a prior for it in [model.priors]',
                 "missing-prior",
             )
-        symbols |= dict.fromkeys(resolved)
+        symbols |= dict.fromkeys(resolved_symbols)
     return tuple(symbols)
 
 

@@ -248,10 +248,10 @@ def _suggest_unit(number: str, unit: str, likely_unit: str | None) -> str:
 def last_digit_step(quantity: str | Quantity) -> str:
     """Return the step of the last digit of a quantity, such as ``1e-3 mA`` for ``1.250 mA``."""
     text = quantity.written if isinstance(quantity, Quantity) else quantity
-    normalized = text.strip().replace("−", "-")
-    match = re.match(r"[+-]?\d*\.?(\d*)(?:[eE]([+-]?\d+))?", normalized)
+    normalized_text = text.strip().replace("−", "-")
+    match = re.match(r"[+-]?\d*\.?(\d*)(?:[eE]([+-]?\d+))?", normalized_text)
     assert match is not None
-    return f"1e{int(match[2] or 0) - len(match[1])}{normalized[match.end() :]}"
+    return f"1e{int(match[2] or 0) - len(match[1])}{normalized_text[match.end() :]}"
 
 
 def _suggest_single_unit(value: str, unit_match: re.Match[str], gravity: float | None) -> str:

@@ -263,10 +263,10 @@ class DescriptionReader:
                 ("runs",), "this installation cannot read tables of readings", "missing-package"
             )
             return DescribedReadings(is_complete=False)
-        described: DescribedReadings = load_name(_READINGS_READER)(
+        described_readings: DescribedReadings = load_name(_READINGS_READER)(
             self, revolutions, has_records=has_records
         )
-        return described
+        return described_readings
 
     def _complete_tables(self, tables: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the accelerometer tables, with default axes for a triad that states none."""
@@ -292,9 +292,9 @@ class DescriptionReader:
         reader = reader_class(table_of(self.raw, "truth"), names, self.problems, self.gravity)
         noise, centrifuge = self.sections.get("noise"), self.sections.get("centrifuge")
         outputs = self.accelerometers.outputs
-        described = load_name(f"{_TRUTH_READER}:DescribedRuns")(runs, readings, truths)
+        described_runs = load_name(f"{_TRUTH_READER}:DescribedRuns")(runs, readings, truths)
         simulation: Simulation | None = reader.simulation(
-            self._read_sampling(), outputs, noise, described, centrifuge, recorders
+            self._read_sampling(), outputs, noise, described_runs, centrifuge, recorders
         )
         return simulation
 

@@ -137,10 +137,10 @@ def parse_specification(text: object, unit: str, *, gravity: float | None = None
     """
     if not isinstance(text, str):
         raise InputError(f"must be a string, such as {_SPECIFICATION_FORMS}", "wrong-type")
-    normalized = " ".join(text.replace("−", "-").replace("≤", "<=").replace("≥", ">=").split())
+    normalized_text = " ".join(text.replace("−", "-").replace("≤", "<=").replace("≥", ">=").split())
     lower_limit: float | None
     upper_limit: float | None
-    if match := _ONE_SIDED.fullmatch(normalized):
+    if match := _ONE_SIDED.fullmatch(normalized_text):
         limit = parse_exact(match[3], unit, gravity)
         if match[1]:
             if match[2] == ">=":
@@ -150,21 +150,21 @@ def parse_specification(text: object, unit: str, *, gravity: float | None = None
             lower_limit, upper_limit = -limit, limit
         else:
             lower_limit, upper_limit = (None, limit) if match[2] == "<=" else (limit, None)
-    elif match := _RANGE.fullmatch(normalized):
+    elif match := _RANGE.fullmatch(normalized_text):
         lower_limit, upper_limit = (
             parse_exact(f"{limit_text} {match[3]}", unit, gravity)
             for limit_text in (match[1], match[2])
         )
         if not lower_limit < upper_limit:
             raise ValueError(f"{text!r}: the first limit must be below the second")
-    elif _TOLERANCE.search(normalized):
-        tolerance = parse_quantity(normalized, unit, gravity=gravity)
+    elif _TOLERANCE.search(normalized_text):
+        tolerance = parse_quantity(normalized_text, unit, gravity=gravity)
         if tolerance.u <= 0.0:
             raise ValueError(f"{text!r}: the tolerance must be greater than zero")
         lower_limit, upper_limit = tolerance.value - tolerance.u, tolerance.value + tolerance.u
     else:
         raise ValueError(f"{text!r} is not a specification; write {_SPECIFICATION_FORMS}")
-    return Specification(normalized, lower_limit, upper_limit, unit)
+    return Specification(normalized_text, lower_limit, upper_limit, unit)
 
 
 def resolve_specifications(
@@ -187,7 +187,7 @@ def resolve_specifications(
     common_terms = _parse_terms(
         common_limits, path, [*keys, *TERMS, *accelerometers], problems, gravity
     )
-    own_terms = {}
+    terms_by_accelerometer = {}
     for name in [key for key in tables if key not in keys]:
         if name == "platform" and name not in accelerometers:
             problems.add((*path, name), _PLATFORM_TERM_REFUSAL)
@@ -199,8 +199,14 @@ def resolve_specifications(
                 + _suggest_accelerometer(name, accelerometers),
                 "unknown-accelerometer",
             )
-        own_terms[name] = _parse_terms(tables[name], (*path, name), list(TERMS), problems, gravity)
-    if not common_terms and not any(own_terms.values()) and len(problems.lines) == n_problems:
+        terms_by_accelerometer[name] = _parse_terms(
+            tables[name], (*path, name), list(TERMS), problems, gravity
+        )
+    if (
+        not common_terms
+        and not any(terms_by_accelerometer.values())
+        and len(problems.lines) == n_problems
+    ):
         problems.add(
             path,
             f"contains no term; write, for example, K_II = {_SPECIFICATION_FORMS.split(',')[0]}",
@@ -208,7 +214,9 @@ def resolve_specifications(
         )
     if rule is None or len(problems.lines) > n_problems:
         return None
-    terms = {name: {**common_terms, **own_terms.get(name, {})} for name in accelerometers}
+    terms = {
+        name: {**common_terms, **terms_by_accelerometer.get(name, {})} for name in accelerometers
+    }
     processes = _resolve_processes(rule.process, terms, path, problems, gravity)
     if len(problems.lines) > n_problems:
         return None

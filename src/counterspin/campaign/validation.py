@@ -244,7 +244,7 @@ def _deduplicate(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
             continue  # a type that no document can contain
         error_path = mistake["loc"]
         type_index = next(
-            (position for position, part in enumerate(error_path) if _is_type_name(part)),
+            (position for position, entry in enumerate(error_path) if _is_type_name(entry)),
             len(error_path),
         )
         errors_by_path.setdefault(error_path[:type_index], []).append(
@@ -267,8 +267,8 @@ def _deduplicate(mistakes: Iterable[Any]) -> Iterator[tuple[KeyPath, Any]]:
             yield path, {"type": "", "msg": text}
 
 
-def _is_type_name(part: str | int) -> bool:
-    return isinstance(part, str) and _TYPE_NAME.fullmatch(part) is not None
+def _is_type_name(entry: str | int) -> bool:
+    return isinstance(entry, str) and _TYPE_NAME.fullmatch(entry) is not None
 
 
 def _known_keys(model: type[BaseModel], path: Sequence[str | int]) -> list[str]:

@@ -488,12 +488,14 @@ def _check_item(document: Mapping[str, Any], result: Result, problems: Problems)
     # The item is the platform or an accelerometer, whose number the campaign may not state.
     settings = table_of(document, "certificate")
     names = list_of(settings, "accelerometers") or [*result.accelerometers]
-    parts = [accelerometer.serial_number for accelerometer in result.accelerometers.values()]
+    serial_numbers = [
+        accelerometer.serial_number for accelerometer in result.accelerometers.values()
+    ]
     if (
         campaign_serial_number
         and isinstance(item_serial_number, str)
-        and item_serial_number not in (campaign_serial_number, *parts)
-        and (len(names) > 1 or None not in parts)
+        and item_serial_number not in (campaign_serial_number, *serial_numbers)
+        and (len(names) > 1 or None not in serial_numbers)
         and not is_template_value(path, item_serial_number)
     ):
         problems.add(

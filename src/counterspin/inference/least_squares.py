@@ -292,13 +292,13 @@ class Solution:
         none that is known exactly.
         Returns: shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
         """
-        stacked, rotation = self._stack_rows(data, priors), self._factors.rotation
+        stacked_rows, rotation = self._stack_rows(data, priors), self._factors.rotation
         # Twice: the rounding errors of one projection matter if the remainder is small.
-        for start in range(0, stacked.shape[1], _CHUNK_COLUMNS):
-            columns = stacked[:, start : start + _CHUNK_COLUMNS]
+        for start in range(0, stacked_rows.shape[1], _CHUNK_COLUMNS):
+            columns = stacked_rows[:, start : start + _CHUNK_COLUMNS]
             for _ in range(2):
                 columns -= rotation @ (rotation.T @ columns)
-        return stacked
+        return stacked_rows
 
     def undetected_shifts(self, data: Array, priors: Array) -> Array:
         """Return the shifts of the unknowns by additional columns that are omitted, shape (p, c).
@@ -307,18 +307,20 @@ class Solution:
         """
         factors = self._factors
         shifts = np.zeros((self.estimate.size, data.shape[1]))
-        stacked = self._stack_rows(data, priors)
-        shifts[factors.free] = np.linalg.solve(factors.triangle, factors.rotation.T @ stacked)
+        stacked_rows = self._stack_rows(data, priors)
+        shifts[factors.free] = np.linalg.solve(factors.triangle, factors.rotation.T @ stacked_rows)
         return shifts
 
     def _stack_rows(self, data: Array, priors: Array) -> Array:
         """Return columns in all rows: of the blocks, the priors and the regularisation."""
         factors = self._factors
-        stacked = np.zeros((data.shape[1], factors.rotation.shape[0])).T  # columns in one piece
+        stacked_rows = np.zeros(
+            (data.shape[1], factors.rotation.shape[0])
+        ).T  # columns in one piece
         n, indices = factors.n_data, factors.prior_indices
-        stacked[:n] = data
-        stacked[n : n + indices.size] = priors[indices]
-        return stacked
+        stacked_rows[:n] = data
+        stacked_rows[n : n + indices.size] = priors[indices]
+        return stacked_rows
 
     def combine(self, weights: npt.ArrayLike) -> Combination:
         """Return a linear combination of the unknowns, with its uncertainty split by source.
@@ -393,23 +395,25 @@ def solve(
 
     free = np.flatnonzero(sd > 0)
     prior_positions = np.flatnonzero(np.isfinite(sd[free]))  # positions among the free ones
-    unbounded = np.flatnonzero(np.isinf(sd[free])) if bounds is not None else np.empty(0, np.intp)
+    unbounded_indices = (
+        np.flatnonzero(np.isinf(sd[free])) if bounds is not None else np.empty(0, np.intp)
+    )
     priors = free[prior_positions]
     correlation = None if prior_correlation is None else prior_correlation[np.ix_(priors, priors)]
     prior_weights = whiten_priors(np.eye(prior_positions.size), sd[priors], correlation)
     regularisation_weights = (
-        np.empty(0) if bounds is None else 1.0 / (REGULARISATION * bounds[free][unbounded])
+        np.empty(0) if bounds is None else 1.0 / (REGULARISATION * bounds[free][unbounded_indices])
     )
     identity = np.eye(free.size)
     prior_rows = np.zeros((prior_positions.size, free.size))
     prior_rows[:, prior_positions] = prior_weights
-    stacked = np.vstack(
-        [factor[:, free], prior_rows, regularisation_weights[:, None] * identity[unbounded]]
+    stacked_rows = np.vstack(
+        [factor[:, free], prior_rows, regularisation_weights[:, None] * identity[unbounded_indices]]
     )
     # Unknowns are relative to their prior means, so the target of the added rows is zero.
     misfit = np.concatenate([block.target for block in blocks])
     misfit = misfit - considered @ considered_values - factor @ mean
-    rotation, triangle = _factorise(stacked)
+    rotation, triangle = _factorise(stacked_rows)
     dependent = dependent_columns(triangle)
     if bounds is None and dependent.size:
         index = int(free[dependent[0]])

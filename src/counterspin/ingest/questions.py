@@ -100,19 +100,19 @@ class FileQuestion:
 
     def parse_answer(self, answer: str) -> str:
         """Convert an answer to the form of a description; ValueError if it is invalid."""
-        normalized = _DECIMAL_COMMA.sub(r"\1.\2", answer.strip())
+        normalized_text = _DECIMAL_COMMA.sub(r"\1.\2", answer.strip())
         if self.choices and not self.unit:
             return self._match_choice(answer.strip())
         if self.quantity:
             # A number without a unit is in the unit of the example, which is shown to the user.
             *_, example_unit = self.example.split()
-            is_bare = BARE_NUMBER.fullmatch(normalized) and self.key != "rate"
-            text = f"{normalized} {example_unit}" if is_bare else normalized
+            is_bare = BARE_NUMBER.fullmatch(normalized_text) and self.key != "rate"
+            text = f"{normalized_text} {example_unit}" if is_bare else normalized_text
             text = str(normalize_latitude(text)) if self.key == "latitude" else text
             parse_quantity(text, self.quantity)
             return text
         if self.unit:
-            unit = parse_file_unit(normalized) or normalized
+            unit = parse_file_unit(normalized_text) or normalized_text
             target_units = OBSERVABLES.values() if self.unit == ANY_SIGNAL else (self.unit,)
             errors = [
                 error
@@ -122,12 +122,15 @@ class FileQuestion:
             if len(errors) == len(tuple(target_units)):
                 raise ValueError(errors[0])
             return unit
-        if not BARE_NUMBER.fullmatch(normalized) or not 0.0 < float(normalized) < math.inf:
+        if (
+            not BARE_NUMBER.fullmatch(normalized_text)
+            or not 0.0 < float(normalized_text) < math.inf
+        ):
             raise InputError(
                 f"{answer!r} is not a positive number; enter, for example, {self.example}",
                 "not-numeric",
             )
-        return normalized
+        return normalized_text
 
     def _match_choice(self, answer: str) -> str:
         choice_by_word = {choice.lower(): choice for choice in self.choices}

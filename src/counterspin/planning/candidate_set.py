@@ -346,10 +346,10 @@ class _Relaxation:
 
     def _scale_to_limits(self, weights: Array) -> Array:
         """Return the weights, scaled to reach a limit."""
-        limit_use = max(
+        used_fraction = max(
             float(self.cost @ weights) / self.max_cost, float(weights.sum()) / self.max_count
         )
-        return weights / limit_use
+        return weights / used_fraction
 
     def linear_optimum(self, gains: Array) -> tuple[Array, float]:
         """Return the weights with the largest total gain, and the shadow price of an observation.
@@ -422,7 +422,7 @@ class _Relaxation:
         result = np.zeros_like(weights)
         result[support] = np.maximum(solution.x, 0.0)
         # Exceeding the limits by rounding must not count as a gain.
-        limit_use = max(
+        used_fraction = max(
             float(self.cost @ result) / self.max_cost, float(result.sum()) / self.max_count, 1.0
         )
-        return result / limit_use
+        return result / used_fraction

@@ -163,10 +163,11 @@ def _require_data(campaign: Campaign, sampling_rate: float | Mapping[str, float]
     ]
     names = [f'"{reading.name}"' for reading in campaign.all_readings if reading.u is None]
     if names:
-        rest = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+        shown_names = ", ".join(names[:_MAX_NAMES])
+        suffix = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
         problems.append(
             "a prediction requires the standard uncertainty of each reading; state u in "
-            f"[readings], or the reading with ± in [[runs]] ({', '.join(names[:_MAX_NAMES])}{rest})"
+            f"[readings], or the reading with ± in [[runs]] ({shown_names}{suffix})"
         )
     problems += [
         f'"{reading.name}" has no value, but unknown attitudes are estimated from the '

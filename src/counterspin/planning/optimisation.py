@@ -230,11 +230,11 @@ def _exchange_runs(
             (candidate for candidate in scaled_designs if candidate is not None),
             key=lambda candidate: predictor.value(criterion, candidate),
         )
-        polished = (
+        polished_pairs = (
             polish_design(predictor, limits, criterion, candidate)
             for candidate in candidates[:_MAX_POLISHED_DESIGNS]
         )
-        improvement = next((pair for pair in polished if pair[0] < value - _MIN_GAIN), None)
+        improvement = next((pair for pair in polished_pairs if pair[0] < value - _MIN_GAIN), None)
         if improvement is None:
             return best_pair
         best_pair = improvement

@@ -156,12 +156,14 @@ def find_contradictions(run: Run) -> Iterator[Contradiction]:
 
 
 def collect_readings(
-    resolved: Iterable[tuple[KeyPath, Sequence[Reading]]], problems: Problems, turns: float | None
+    resolved_entries: Iterable[tuple[KeyPath, Sequence[Reading]]],
+    problems: Problems,
+    turns: float | None,
 ) -> tuple[Reading, ...]:
     """Return the readings that `resolve_readings` yields; report those without a value."""
     blank_paths: list[KeyPath] = []
     readings: list[Reading] = []
-    for path, run_readings in resolved:
+    for path, run_readings in resolved_entries:
         readings += run_readings
         for reading in run_readings:
             if abs(reading.value) > _MAX_READING:
@@ -398,7 +400,7 @@ def _parse_value(
 def _resolve_axes(run: Run, mounting: Mounting | None) -> Mounting | None:
     """Return the accelerometer's axes in the frame of the motion; None if they are invalid."""
     if run.axes is None:
-        return None if mounting is None else mounting.turned(run.attitude)
+        return None if mounting is None else mounting.rotate(run.attitude)
     directions = FRAMES[run.motion]
     return Mounting.from_axes(
         *(_resolve_direction(value, directions) for value in (run.axes.input, run.axes.pendulous))

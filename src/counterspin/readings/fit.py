@@ -81,8 +81,10 @@ def solve_readings(
             unknowns = group.find_undetermined(first_fit.fit, model, candidates)
             model = model.with_default_priors(unknowns)
             break
-    solved = _solve_or_constrain(readings, model, records, first_fit)
-    return replace(solved, groups=tuple(group.evaluate(solved.fit) for group in solved.groups))
+    solution = _solve_or_constrain(readings, model, records, first_fit)
+    return replace(
+        solution, groups=tuple(group.evaluate(solution.fit) for group in solution.groups)
+    )
 
 
 def _solve_or_constrain(

@@ -200,7 +200,7 @@ class FittedReadings:
 
         Draper and Smith, Applied Regression Analysis, 3rd ed., section 2.1.
         """
-        normalized = self.residuals / self.sigma
+        normalized_residuals = self.residuals / self.sigma
         # Repeats at one setting contain only the noise; readings also contain the known variance of
         # the head. Only the noise share is unknown.
         repeat_dof = float(np.sum(self.readings.repeats - 1.0))
@@ -210,7 +210,7 @@ class FittedReadings:
         for position in self.positions:
             indices = list(position.indices)
             position_dof += len(indices) - 1.0
-            members = normalized[indices]
+            members = normalized_residuals[indices]
             position_squares += float(np.sum((members - members.mean()) ** 2))
         remaining_dof = self.residual_dof - position_dof
         if (
@@ -258,7 +258,7 @@ def _gross_errors(
     residual = linear_group.residuals_at(solution.estimate) / linear_group.sigma
     covariance = linear_group.covariance(solution)
     variance = 1.0 - np.sum((rows @ covariance) * rows, axis=1)
-    deleted: list[Position] = []
+    deleted_positions: list[Position] = []
     first_size = 0.0
     for _ in range(_MAX_GROSS_ERRORS + 1):
         z = residual / np.sqrt(np.where(variance > _MIN_RELATIVE_VARIANCE, variance, np.inf))
@@ -266,9 +266,9 @@ def _gross_errors(
         error = replace(positions[index], standardized=float(z[index]), studentized=float(z[index]))
         size = abs(error.studentized)
         if error.p >= significance(positions) or size < _MIN_RELATIVE_ERROR * first_size:
-            return tuple(deleted)
+            return tuple(deleted_positions)
         first_size = first_size or size
-        deleted.append(error)
+        deleted_positions.append(error)
         # The fit without a reading is a fit with a parameter for its error.
         column = -rows @ (covariance @ rows[index])
         column[index] += 1.0
@@ -322,8 +322,8 @@ class _CombinedResiduals:
     @property
     def variance(self) -> Array:
         """Products r . s, the variances of the combined residuals, shape (k,)."""
-        projected: Array = np.sum(self._row_sums * self._projection, axis=1)
-        return np.asarray(np.maximum(self._sets.sum(self._s**2) - projected, 0.0))
+        projected_variances: Array = np.sum(self._row_sums * self._projection, axis=1)
+        return np.asarray(np.maximum(self._sets.sum(self._s**2) - projected_variances, 0.0))
 
     def squares(self, weights: Array) -> Array:
         """Return the sums of weights r^2, shape (k,); weights: shape (n,)."""
@@ -339,8 +339,8 @@ class _CombinedResiduals:
     def weighted_variance(self, weights: Array) -> Array:
         """Return w . (w - H w) of w = weights r, shape (k,)."""
         rows = self._residual_rows(weights)
-        projected: Array = np.sum((rows @ self._covariance) * rows, axis=1)
-        return self.squares(weights**2) - projected
+        projected_variances: Array = np.sum((rows @ self._covariance) * rows, axis=1)
+        return self.squares(weights**2) - projected_variances
 
 
 def evaluate_positions(

@@ -132,13 +132,13 @@ class ReadingsAndPoses(ReadingData):
     def fit_rotated_mounting(
         self,
         estimate: Estimate,
-        parts: Sequence[FittedGroup],
+        groups: Sequence[FittedGroup],
         name: str,
         rotate: Callable[[Mounting], Mounting],
     ) -> tuple[JointFit, tuple[FittedGroup, ...]]:
         """Return the fit of groups and records with a rotated accelerometer."""
         rotated_groups: list[ReadingGroup] = []
-        for fitted_group in parts:
+        for fitted_group in groups:
             assert isinstance(fitted_group, FittedReadings)
             group = fitted_group.readings
             if not math.isinf(fitted_group.noise_dof):

@@ -527,8 +527,8 @@ def _noise_fraction(group: ResidualGroup, alternative: Alternative, combination:
     The remaining variance is that of the head, and of priors outside the rows of the readings.
     """
     column = (alternative.columns[group.index] / group.sigma) ** 2
-    noise_part = float(column @ group.noise_fraction) / float(column.sum())
-    return min(noise_part * float(combination @ combination), 1.0)
+    noise_fraction = float(column @ group.noise_fraction) / float(column.sum())
+    return min(noise_fraction * float(combination @ combination), 1.0)
 
 
 def _p_value(

@@ -20,4 +20,4 @@ def reading_groups(view: AccelerometerView) -> tuple[FittedReadings, ...]:
 
 def pose_groups(view: AccelerometerView) -> tuple[FittedReadings, ...]:
     """Return the groups of poses."""
-    return tuple(part for part in groups_of_view(view) if part.readings.triad)
+    return tuple(group for group in groups_of_view(view) if group.readings.triad)

@@ -183,14 +183,14 @@ def _join_spaced_names(
     """
     widths = [len(cells) for _, cells in split_lines[-_PLAIN_ROWS:] if _has_numbers(cells, ".")]
     row_width = max(set(widths), key=widths.count, default=0)
-    joined = []
+    joined_rows = []
     for (number, cells), (_, line) in zip(split_lines, lines, strict=True):
         fields = [cell for cell in _WIDE_BLANKS.split(_normalise_comment(line).strip()) if cell]
         is_text = cells and not _has_numbers(cells, ".")
-        joined.append(
+        joined_rows.append(
             (number, fields if is_text and len(fields) == row_width != len(cells) else cells)
         )
-    return joined
+    return joined_rows
 
 
 def is_plain_format(lines: Sequence[Line]) -> bool:

@@ -136,10 +136,10 @@ class _ReaderProcess:
         self, process: subprocess.Popen[bytes], request_bytes: bytes, path: Path
     ) -> tuple[tuple[Any] | BaseException | None, bool]:
         """Return the reply, and whether it arrived before the timeout."""
-        expired = threading.Event()
+        timeout_event = threading.Event()
 
         def expire() -> None:
-            expired.set()
+            timeout_event.set()
             _terminate(process)
 
         timer = threading.Timer(waiting_seconds(path), expire)
@@ -150,7 +150,7 @@ class _ReaderProcess:
         finally:
             timer.cancel()
             timer.join()
-        return reply, not expired.is_set()
+        return reply, not timeout_event.is_set()
 
     def _exchange(
         self, process: subprocess.Popen[bytes], request_bytes: bytes

@@ -68,8 +68,8 @@ class RunFile:
 
     def use_strict_parser(self) -> bool:
         """Switch all files to the strict parser; see `ColumnFile`."""
-        switched = [file.use_strict_parser() for file in self._files]  # all of them
-        return any(switched)
+        has_switched = [file.use_strict_parser() for file in self._files]  # all of them
+        return any(has_switched)
 
     def locate_row(self, row: int) -> str:
         """Return the location of a row, with the name of a continuation file."""

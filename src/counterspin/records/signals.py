@@ -358,9 +358,9 @@ class SignalSums:
         Infinite if they are not much smaller than the neighbouring rows.
         """
         first, *second = self._first_rows[index] or [0.0]
-        *before, last = self._last_rows[index] or [0.0]
+        *previous_rows, last = self._last_rows[index] or [0.0]
         magnitude = max(abs(first), abs(last))
-        min_neighbour = min((abs(row) for row in (*second, *before)), default=0.0)
+        min_neighbour = min((abs(row) for row in (*second, *previous_rows)), default=0.0)
         return magnitude if magnitude < _MAX_ROW_ROUNDING * min_neighbour else math.inf
 
 

@@ -206,8 +206,8 @@ def _resolve_pose(
             "accelerometers"
         )
         problems.add((*path, "reading"), message, "missing-value")
-    stated = [reading.u is not None for reading in readings.values()]
-    if any(stated) and not all(stated):
+    has_stated_u = [reading.u is not None for reading in readings.values()]
+    if any(has_stated_u) and not all(has_stated_u):
         message = "state the uncertainty for all three readings of a pose, or for none"
         problems.add((*path, "reading"), message, "wrong-uncertainty")
     if readings.keys() >= set(names) > set() and len(problems.lines) == n_errors:

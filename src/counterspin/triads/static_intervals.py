@@ -109,19 +109,19 @@ class StaticIntervals:
 def read_poses(
     path: str | Path | MemoryTable,
     columns: RecordColumns,
-    rest: float = MIN_DURATION,
+    min_rest: float = MIN_DURATION,
     threshold: float | None = None,
 ) -> tuple[StaticIntervals, Record]:
     """Return the poses of a record of three signals, and the record with all its rows.
 
-    rest, threshold: As in `find_poses`; the threshold is in the unit of the columns.
+    min_rest, threshold: As in `find_poses`; the threshold is in the unit of the columns.
     """
     record = read_record(
         path, columns, NominalMotion(0.0, has_constant_input=True, is_multi_pose=True), block=None
     )
     values = np.column_stack(list(record.signals.values()))
     try:
-        poses = find_poses(record.time + record.start_time, values, rest, threshold)
+        poses = find_poses(record.time + record.start_time, values, min_rest, threshold)
     except RecordError as error:
         raise RecordError(f"{path}: {error}", code=error.code) from None
     names = [spec.name for spec in columns.signals.values()]
@@ -130,7 +130,7 @@ def read_poses(
 
 
 def find_poses(
-    time: Array, values: Array, rest: float = MIN_DURATION, threshold: float | None = None
+    time: Array, values: Array, min_rest: float = MIN_DURATION, threshold: float | None = None
 ) -> StaticIntervals:
     """Find the intervals in which a sensor is at rest.
 
@@ -138,12 +138,12 @@ def find_poses(
 
     time: Increasing times, s, shape (n,).
     values: Values of the three axes in one unit, shape (n, 3); NaN if missing.
-    rest: Shortest pose, s.
+    min_rest: Shortest pose, s.
     threshold: Highest level at rest, in the unit of the values; computed if None.
     """
     valid_rows = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1))
-    step = _sampling_step(time[valid_rows], rest)
-    window = min(max(_WINDOW, _MIN_ROWS * step), rest)
+    step = _sampling_step(time[valid_rows], min_rest)
+    window = min(max(_WINDOW, _MIN_ROWS * step), min_rest)
     resolutions = np.array([estimate_resolution(axis) for axis in values[valid_rows].T])
     block_rows = max(_MIN_SPIKE_ROWS, round(window / step))
     spikes = _outlier_mask(values[valid_rows], block_rows, resolutions)
@@ -152,10 +152,10 @@ def find_poses(
     t, x = time[valid_rows], values[valid_rows]
     level = _rolling_sd(t, x, window)
     level_threshold = _default_threshold(level, resolutions) if threshold is None else threshold
-    starts, ends = _find_intervals(t, level, level_threshold, rest, window, step)
+    starts, ends = _find_intervals(t, level, level_threshold, min_rest, window, step)
     if not len(starts):
         raise RecordError(
-            _no_interval_message(t, level, level_threshold, rest, window, step), code="no-rest"
+            _no_interval_message(t, level, level_threshold, min_rest, window, step), code="no-rest"
         )
     contrast = _contrast(level, level_threshold, starts, ends)
     faults = _interval_faults(x, starts, ends, resolutions)
@@ -191,14 +191,14 @@ def find_poses(
     )
 
 
-def _sampling_step(time: Array, rest: float) -> float:
+def _sampling_step(time: Array, min_rest: float) -> float:
     """Return the median sampling step, s; RecordError if the rows cannot contain a rest interval.
 
     Rows with the same time, as from a coarse clock, do not count.
     """
-    if not rest > 0.0:
+    if not min_rest > 0.0:
         raise RecordError(
-            f"the duration of a rest interval must be positive, but it is {rest:g} s.",
+            f"the duration of a rest interval must be positive, but it is {min_rest:g} s.",
             code="wrong-usage",
         )
     if len(time) < _MIN_ROWS:
@@ -214,16 +214,16 @@ def _sampling_step(time: Array, rest: float) -> float:
     if not steps.any():
         raise RecordError("all rows have the same time.", code="no-rows")
     length, step = float(time[-1] - time[0]), median(steps[steps > 0.0])
-    if length + step < rest * (1.0 - 1e-9):
+    if length + step < min_rest * (1.0 - 1e-9):
         raise RecordError(
             f"the record lasts {length:.4g} s, which is less than one rest interval of "
-            f"{rest:g} s. Check the unit of the time or the sampling rate, or specify a "
+            f"{min_rest:g} s. Check the unit of the time or the sampling rate, or specify a "
             "shorter rest interval.",
             code="record-too-short",
         )
-    if not _MIN_ROWS * step <= rest * (1.0 + 1e-9):
+    if not _MIN_ROWS * step <= min_rest * (1.0 + 1e-9):
         raise RecordError(
-            f"the rows are {step:.4g} s apart, so a rest interval of {rest:g} s contains fewer "
+            f"the rows are {step:.4g} s apart, so a rest interval of {min_rest:g} s contains fewer "
             f"than {_MIN_ROWS} rows. Check the unit of the time or the sampling rate, or "
             "specify a longer rest interval.",
             code="too-few-rows",
@@ -341,7 +341,7 @@ def _default_threshold(level: Array, resolutions: Array) -> float:
 
 
 def _find_intervals(
-    time: Array, level: Array, threshold: float, rest: float, window: float, step: float
+    time: Array, level: Array, threshold: float, min_rest: float, window: float, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the first row of each rest interval, and the row after its last."""
     is_quiet = level <= threshold
@@ -349,7 +349,7 @@ def _find_intervals(
     is_first = is_quiet & np.append(True, is_gap[:-1] | ~is_quiet[:-1])
     is_last = is_quiet & (is_gap | ~np.append(is_quiet[1:], False))
     starts, ends = np.flatnonzero(is_first), np.flatnonzero(is_last) + 1
-    is_long = time[ends - 1] - time[starts] + step >= rest * (1.0 - 1e-9)
+    is_long = time[ends - 1] - time[starts] + step >= min_rest * (1.0 - 1e-9)
     return starts[is_long], ends[is_long]
 
 
@@ -364,21 +364,23 @@ def _contrast(level: Array, threshold: float, starts: np.ndarray, ends: np.ndarr
 
 
 def _no_interval_message(
-    time: Array, level: Array, threshold: float, rest: float, window: float, step: float
+    time: Array, level: Array, threshold: float, min_rest: float, window: float, step: float
 ) -> str:
     """Return the error message without rest intervals, with the level of the quietest interval."""
-    message = f"no rest interval of {rest:g} s was found below the threshold of {threshold:.3g}."
+    message = (
+        f"no rest interval of {min_rest:g} s was found below the threshold of {threshold:.3g}."
+    )
     levels = np.unique(level[np.isfinite(level)])
     low, high = 0, len(levels)
     while low < high:
         midpoint = (low + high) // 2
-        if len(_find_intervals(time, level, float(levels[midpoint]), rest, window, step)[0]):
+        if len(_find_intervals(time, level, float(levels[midpoint]), min_rest, window, step)[0]):
             high = midpoint
         else:
             low = midpoint + 1
     if low == len(levels):
         return f"{message} Every interval of this length in the record contains a gap."
-    starts, ends = _find_intervals(time, level, float(levels[low]), rest, window, step)
+    starts, ends = _find_intervals(time, level, float(levels[low]), min_rest, window, step)
     return (
         f"{message} The quietest interval, from {time[starts[0]]:.6g} s to "
         f"{time[ends[0] - 1]:.6g} s, stays below {levels[low]:.3g}. Use a higher threshold "

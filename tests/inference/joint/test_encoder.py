@@ -101,7 +101,7 @@ def test_columns_match_simulation(observable, attitude):
             motion, QX, LARGE, {}, series.time, observable, attitude=attitude
         )
 
-    def turned(symbol, step):
+    def shift_angle(symbol, step):
         if symbol == "encoder.angle":
             return replace(spindle, start_angle=spindle.start_angle + step)
         n = int(symbol.split(".")[1].removeprefix("ripple"))
@@ -113,7 +113,9 @@ def test_columns_match_simulation(observable, attitude):
     own = np.vander(series.time, series.order, increasing=True)
     for symbol, column in zip(symbols, columns.T, strict=True):
         step = 1e-4
-        change = (recorded(turned(symbol, step)) - recorded(turned(symbol, -step))) / (2 * step)
+        change = (recorded(shift_angle(symbol, step)) - recorded(shift_angle(symbol, -step))) / (
+            2 * step
+        )
         expected = change * u[0 if symbol == "encoder.angle" else 3 + symbols.index(symbol) - 1]
         apart = column - expected
         if series.order:

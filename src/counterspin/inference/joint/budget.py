@@ -73,7 +73,9 @@ def combination_budget(fit: JointFit, weights: Array, name: str = "") -> list[Bu
             lines.append(BudgetLine(source, STATED, u, term.unit, effect / u, abs(effect), 0.0))
         elif math.isfinite(u := term.prior[1]):
             source = term.name.removeprefix(f"{name}.")
-            lines.append(BudgetLine(source, kind_of(term), u, term.unit, slope, abs(effect), 0.0))
+            lines.append(
+                BudgetLine(source, prior_kind(term), u, term.unit, slope, abs(effect), 0.0)
+            )
     lines += _encoder_lines(fit, encoder_effects)
     variance = sum(line.contribution**2 for line in lines)
     if variance == 0.0:
@@ -83,7 +85,7 @@ def combination_budget(fit: JointFit, weights: Array, name: str = "") -> list[Bu
     return sorted(significant_lines, key=lambda line: -line.contribution)
 
 
-def kind_of(term: Unknown) -> Kind:
+def prior_kind(term: Unknown) -> Kind:
     """Return the category of a term in a budget."""
     if isinstance(term, Considered):
         return CONSIDERED
@@ -158,10 +160,14 @@ def _variances_by_category(fit: JointFit, weights: Array, variance: float) -> di
     rate_variances = [
         observation.rate_variances(fit.solution, weights) for observation in fit.observations
     ]
-    stated, default = (
+    stated_variance, default_variance = (
         sum(observation_variances) for observation_variances in zip(*rate_variances, strict=True)
     )
-    return {NOISE: max(variance - stated - default, 0.0), STATED: stated, DEFAULT_PRIOR: default}
+    return {
+        NOISE: max(variance - stated_variance - default_variance, 0.0),
+        STATED: stated_variance,
+        DEFAULT_PRIOR: default_variance,
+    }
 
 
 def unknown_u_by_category(fit: JointFit, index: int) -> tuple[float, float, float]:

@@ -351,10 +351,10 @@ def relinearise_rotation(state: _EstimationState) -> _EstimationState:
     for _ in range(_ROTATION_ROUNDS):
         noise = state.fit.noise
         full_fit = solve_joint(state.design_blocks, state.model, noise)
-        rotated = rotation.rotate_to_estimate(full_fit, state.series)
-        if rotated is None:
+        rotated_series = rotation.rotate_to_estimate(full_fit, state.series)
+        if rotated_series is None:
             break
-        series, model = rotated
+        series, model = rotated_series
         values = np.where(
             [unknown.symbol in encoder.SYMBOLS for unknown in model.unknowns],
             0.0,

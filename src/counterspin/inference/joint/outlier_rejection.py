@@ -76,14 +76,14 @@ def outlier_mask(
     if np.count_nonzero(is_present) <= 2 * _MEDIAN_HALF_WIDTH:
         return np.zeros(n, dtype=bool)
     positions = np.arange(float(n)) if time is None else time
-    interpolated = np.interp(positions, positions[is_present], residuals[is_present])
-    deviations = _local_deviations(interpolated, _MEDIAN_HALF_WIDTH) * weight
+    interpolated_residuals = np.interp(positions, positions[is_present], residuals[is_present])
+    deviations = _local_deviations(interpolated_residuals, _MEDIAN_HALF_WIDTH) * weight
     scale, is_tested = _robust_sd(deviations[is_present]), is_present
-    narrow_deviations = _local_deviations(interpolated, _NARROW_HALF_WIDTH) * weight
+    narrow_deviations = _local_deviations(interpolated_residuals, _NARROW_HALF_WIDTH) * weight
     if _robust_sd(narrow_deviations[is_present]) < _MAX_SCALE_RATIO * scale:
         deviations, scale = narrow_deviations, _robust_sd(narrow_deviations[is_present])
         for direction in (1, -1):
-            end_scales = _end_scales((interpolated * weight)[::direction])
+            end_scales = _end_scales((interpolated_residuals * weight)[::direction])
             deviations[::direction][: end_scales.size] /= np.maximum(end_scales / scale, 1.0)
         is_tested = is_present & ~_is_near_gap(positions, _NARROW_HALF_WIDTH)
     scale = max(scale, min_sd)

@@ -140,10 +140,10 @@ def rotate_to_estimate(
         return None
     records = []
     for record in series:
-        rotated = record.add_angle(steps[record.run]) if record.run in steps else record
-        if rotated is None:
+        rotated_record = record.add_angle(steps[record.run]) if record.run in steps else record
+        if rotated_record is None:
             return None
-        records.append(rotated)
+        records.append(rotated_record)
     errors = {block.run: block.angle_error for block in records if block.angle_error is not None}
     return tuple(records), encoder.update_priors(fit.model, errors)
 
@@ -181,7 +181,7 @@ def _initial_rotations(series: Sequence[ResidualSeries]) -> tuple[ResidualSeries
     for run in dict.fromkeys(record.run for record in series):
         run_series = [record for record in series if record.run == run]
         horizontal_components = [
-            float(np.linalg.norm(record.mounting.turned(record.attitude).input_axis[:2]))
+            float(np.linalg.norm(record.mounting.rotate(record.attitude).input_axis[:2]))
             for record in run_series
         ]
         best_index = int(np.argmax(horizontal_components))

@@ -159,7 +159,7 @@ class ResidualSeries:
 
     def _samples_at_sign_changes(self, motion: Trajectory) -> tuple[npt.NDArray[np.intp], Array]:
         """Return the blocks in which a_I changes sign, and the times of all their samples, s."""
-        axis = self.mounting.turned(self.attitude).input_axis
+        axis = self.mounting.rotate(self.attitude).input_axis
         half_width = math.sqrt(3.0) * self.time_sd
         ends = self.time - half_width, self.time + half_width
         a_start, a_end = (motion.specific_force(t) @ axis for t in ends)
@@ -278,20 +278,22 @@ class ResidualSeries:
             time = stamp_times + errors.fraction * errors.delay
             if not np.all(np.diff(time) > 0.0):
                 return None
-        rotated = replace(
+        rotated_series = replace(
             self,
             trajectory=replace(self.trajectory, spindle=spindle),
             angle_error=angle_error,
             time=time,
             timestamp_errors=errors,
         )
-        rotated = replace(rotated, error=self.error + self.reference() - rotated.reference())
+        rotated_series = replace(
+            rotated_series, error=self.error + self.reference() - rotated_series.reference()
+        )
         timestamp_sd = (
             errors.residual_sd
             if errors is not None and errors.fraction > 0.0
             else self.timestamp_sd
         )
-        return rotated.with_timestamp_noise(0.0).with_timestamp_noise(timestamp_sd)
+        return rotated_series.with_timestamp_noise(0.0).with_timestamp_noise(timestamp_sd)
 
     def with_encoder_noise(self, noise: float) -> ResidualSeries:
         """Return the series with the timing noise that the encoder adds to corrected times.
@@ -511,19 +513,23 @@ def evaluate_with_input(
         spindle = series.trajectory.spindle
         step = _RELATIVE_STEP / abs(spindle.rate)
         # Angles were sampled later than the output, so the spindle was behind by this time.
-        delayed = replace(series.trajectory, spindle=spindle.later(-step))
-        columns = series.columns(symbols, scale_factor, delayed)
+        delayed_trajectory = replace(series.trajectory, spindle=spindle.later(-step))
+        columns = series.columns(symbols, scale_factor, delayed_trajectory)
         return series.reference(delay=-step), columns, step
     if name == CLOCK:
-        rescaled = series.rescale_clock(_RELATIVE_STEP)
-        return rescaled.reference(), rescaled.columns(symbols, scale_factor), _RELATIVE_STEP
+        rescaled_series = series.rescale_clock(_RELATIVE_STEP)
+        return (
+            rescaled_series.reference(),
+            rescaled_series.columns(symbols, scale_factor),
+            _RELATIVE_STEP,
+        )
     if name in RESPONSE_INPUTS:
         response = series.mounting.response
         assert response is not None
         step = response.step(name)
         mounting = replace(series.mounting, response=response.deviate(name, step))
-        changed = replace(series, mounting=mounting)
-        return changed.reference(), changed.columns(symbols, scale_factor), step
+        changed_series = replace(series, mounting=mounting)
+        return changed_series.reference(), changed_series.columns(symbols, scale_factor), step
     scale = {
         "centrifuge.radius": series.trajectory.radius,
         "site.gravity": series.trajectory.site.gravity,

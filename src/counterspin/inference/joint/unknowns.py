@@ -123,7 +123,7 @@ class Unknowns:
         """Parameters of interest: the first of the unknowns."""
         return tuple(unknown for unknown in self.unknowns if unknown.is_of_interest)
 
-    def with_default_priors(self, selected: Collection[Unknown]) -> Unknowns:
+    def with_default_priors(self, selected_unknowns: Collection[Unknown]) -> Unknowns:
         """Return the model with the default priors of some parameters of interest."""
         return replace(
             self,
@@ -131,7 +131,7 @@ class Unknowns:
                 replace(
                     unknown, prior=(unknown.nominal, unknown.default_sd), has_default_prior=True
                 )
-                if unknown in selected
+                if unknown in selected_unknowns
                 else unknown
                 for unknown in self.unknowns
             ),

@@ -218,7 +218,7 @@ class RestrictedLikelihood:
             else np.asarray(r.column_indices, np.intp)
             for r, design in zip(records, design_matrices, strict=True)
         ]
-        p = 1 + max((int(place.max()) for place in column_indices if place.size), default=-1)
+        p = 1 + max((int(indices.max()) for indices in column_indices if indices.size), default=-1)
         prior_factor = np.zeros((0, p)) if prior_rows is None else np.asarray(prior_rows, float)
         values = (
             np.zeros(len(prior_factor)) if prior_values is None else np.asarray(prior_values, float)
@@ -259,8 +259,8 @@ class RestrictedLikelihood:
         from scipy.linalg import qr
 
         rows = np.vstack([self._triangle(WHITE)[0], self.prior])[:, :-1]
-        scaled = rows / np.linalg.norm(rows, axis=0)
-        factor, order = qr(scaled, mode="r", pivoting=True)
+        scaled_rows = rows / np.linalg.norm(rows, axis=0)
+        factor, order = qr(scaled_rows, mode="r", pivoting=True)
         return np.sort(order[: factor.shape[0]][np.abs(np.diagonal(factor)) > 1e-11])
 
     @property
@@ -393,8 +393,8 @@ class RestrictedLikelihood:
                 # The triangle of all records is computed at the end.
                 triangle = qr_blocks(rows)
                 triangle = triangular_factor(triangle) if len(self.records) > 1 else triangle
-                stacked = np.zeros((triangle.shape[0], n_columns))
-                stacked[:, np.append(indices, n_columns - 1)] = triangle
-                triangles.append(stacked)
+                stacked_rows = np.zeros((triangle.shape[0], n_columns))
+                stacked_rows[:, np.append(indices, n_columns - 1)] = triangle
+                triangles.append(stacked_rows)
             self.triangles[ratios] = triangular_factor(np.vstack(triangles)), log_det
         return self.triangles[ratios]

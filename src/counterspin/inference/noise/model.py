@@ -414,8 +414,8 @@ def information_loss(
         rows = bias_whitener.apply(bias_whitener.apply(rows))
     weighted = solve_banded_factor(bands, rows, transposed=True)
     row_scale = np.sqrt(differences.variance_ratio / differences.blocks.count)
-    sample_part = differences.apply_transposed(weighted) * row_scale[:, None]
-    components = [sample_part, _multiply_transposed(differences.factor(0.0, 1.0)[0], weighted)]
+    sample_component = differences.apply_transposed(weighted) * row_scale[:, None]
+    components = [sample_component, _multiply_transposed(differences.factor(0.0, 1.0)[0], weighted)]
     components += [columns_of_component.T @ weighted for columns_of_component in bias_columns]
     losses = np.zeros((len(COMPONENTS), columns.shape[1], columns.shape[1]))
     for index, component in enumerate(components):

@@ -209,7 +209,7 @@ def _predicted_covariances(
     segment_parameters: Parameters of `_scan_elements` for each segment.
     segment_sizes: Number of rows of each segment.
     """
-    finished: list[Array] = []
+    covariance_blocks: list[Array] = []
     pending: list[list[float]] = []
     for parameters, size in zip(segment_parameters, segment_sizes, strict=True):
         if size <= _MIN_SEGMENT_ROWS:
@@ -218,9 +218,9 @@ def _predicted_covariances(
             pending += stepwise
         else:
             repeated = _repeated_covariances(covariance, parameters, size)
-            finished += [np.reshape(pending, (-1, 3)).T, repeated[:, :-1]]
+            covariance_blocks += [np.reshape(pending, (-1, 3)).T, repeated[:, :-1]]
             pending, covariance = [], repeated[:, -1].tolist()
-    return np.hstack([*finished, np.reshape(pending, (-1, 3)).T])
+    return np.hstack([*covariance_blocks, np.reshape(pending, (-1, 3)).T])
 
 
 def _repeated_covariances(covariance: list[float], parameters: list[float], size: int) -> Array:

@@ -49,9 +49,9 @@ class SensorSamples:
         )
         is_duplicate = np.append(False, is_same_row & has_duplicates)
         time, values = time[~is_duplicate], values[~is_duplicate]
-        restamped = int(np.sum(np.diff(time) == 0.0))
-        if restamped > _MAX_RESTAMPED_FRACTION * time.size:
-            time = reconstruct_times(time, restamped)
+        n_restamped = int(np.sum(np.diff(time) == 0.0))
+        if n_restamped > _MAX_RESTAMPED_FRACTION * time.size:
+            time = reconstruct_times(time, n_restamped)
         else:
             is_kept = np.append(True, np.diff(time) > 0.0)
             time, values = time[is_kept], values[is_kept]
@@ -59,7 +59,7 @@ class SensorSamples:
         if holding is None:
             is_stuck = _stuck_mask(values)
             return cls(
-                time, np.where(is_stuck, math.nan, values), 0, restamped, int(is_stuck.sum())
+                time, np.where(is_stuck, math.nan, values), 0, n_restamped, int(is_stuck.sum())
             )
         row_interval = median(np.diff(time))
         is_new = holding.is_new(values) & np.isfinite(values)
@@ -70,7 +70,7 @@ class SensorSamples:
         time, values = time[is_new], values[is_new]
         if not holding.period:
             time = _even_times(time, rows_per_sample, row_interval)
-        return cls(time, values, repeated, restamped)
+        return cls(time, values, repeated, n_restamped)
 
 
 def _stuck_mask(values: Array) -> npt.NDArray[np.bool_]:

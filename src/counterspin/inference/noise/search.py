@@ -165,12 +165,12 @@ def _select_components(
     white_maximum: Maximum without bias noise; None if the noise contains no bias noise.
     """
     requested = noise.to_estimate
-    required = [name for name in requested if white_maximum is not None and name == "white"]
-    required += [name for name in requested if name in BIAS_COMPONENTS][:1]
-    optional = [name for name in requested if name not in required]
+    required_names = [name for name in requested if white_maximum is not None and name == "white"]
+    required_names += [name for name in requested if name in BIAS_COMPONENTS][:1]
+    optional = [name for name in requested if name not in required_names]
     candidates = [
         NoiseModelCandidate(
-            likelihood, noise, tuple(n for n in COMPONENTS if n in (*required, *subset))
+            likelihood, noise, tuple(n for n in COMPONENTS if n in (*required_names, *subset))
         )
         for n_components in range(len(optional), -1, -1)
         for subset in combinations(optional, n_components)

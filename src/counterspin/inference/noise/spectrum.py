@@ -281,8 +281,8 @@ def allan_values(
         deviation = allan_deviation(velocity, step, count)
         expected, dof = allan_moments(n, step, sampling, variances, count)
         low, high = (
-            deviation * math.sqrt(dof / chi2.ppf(part, dof))
-            for part in (_UPPER_LEVEL, _LOWER_LEVEL)
+            deviation * math.sqrt(dof / chi2.ppf(level, dof))
+            for level in (_UPPER_LEVEL, _LOWER_LEVEL)
         )
         values.append(AllanValue(count * step, deviation, low, high, dof, expected))
     return values

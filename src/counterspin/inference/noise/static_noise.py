@@ -260,7 +260,7 @@ def analyse(segments: Segments, order: int) -> StaticAnalysis:
     step = segments.step
     _, longest_segment = segments.longest
     decimation = math.ceil(longest_segment.size / MAX_SAMPLES)
-    mean_time = np.mean([start + 0.5 * step * part.size for start, part in segments.segments])
+    mean_time = np.mean([start + 0.5 * step * segment.size for start, segment in segments.segments])
     # Specific force is integrated to velocity. White noise of the velocity is quantisation noise
     # (IEEE Std 952, C.1.3), white noise of the force is N.
     sampling = Sampling(max(order, 1), order)
@@ -270,12 +270,12 @@ def analyse(segments: Segments, order: int) -> StaticAnalysis:
     velocity = np.zeros(0)
     first = 1
     for start, samples in segments.segments:
-        integrated = samples
+        integrated_samples = samples
         if order == SPECIFIC_FORCE:
-            integrated = np.concatenate([[0.0], np.cumsum(samples - samples.mean()) * step])
-        integrated = integrated[::decimation]
+            integrated_samples = np.concatenate([[0.0], np.cumsum(samples - samples.mean()) * step])
+        integrated_samples = integrated_samples[::decimation]
         decimated_step = step * decimation
-        force = np.diff(integrated, n=noise_order) / decimated_step**noise_order
+        force = np.diff(integrated_samples, n=noise_order) / decimated_step**noise_order
         if force.size < _MIN_SAMPLES:
             continue
         segment_lines, residual = find_lines(force, decimated_step)
@@ -339,11 +339,11 @@ class StaticNoise:
         """Return the noise with N^2 multiplied by a factor."""
         white = COMPONENTS[1]
         sizes = self.components[white]
-        scaled = SizedComponent(factor * sizes.variance, factor * sizes.low, factor * sizes.high)
+        component = SizedComponent(factor * sizes.variance, factor * sizes.low, factor * sizes.high)
         factors = np.where(np.array(COMPONENTS) == white, factor, 1.0)
         return replace(
             self,
-            components=self.components | {white: scaled},
+            components=self.components | {white: component},
             covariance=self.covariance * np.outer(factors, factors),
         )
 
