@@ -159,7 +159,7 @@ def test_occupied_port_and_missing_folder_raise_errors(tmp_path, capsys):
         assert cli.main(["serve", str(tmp_path), "--port", str(port)]) == 1
     assert f"port {port} " in (stderr := capsys.readouterr().err)
     assert "give another --port" in stderr
-    assert cli.main(["serve", str(tmp_path), "--port", "99999"]) == 1
+    assert cli.main(["serve", str(tmp_path), "--port", "99999"]) == 2
     assert cli.main(["serve", str(tmp_path / "nowhere")]) == 1
     assert "folder not found" in capsys.readouterr().err
 
