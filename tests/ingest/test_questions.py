@@ -6,6 +6,7 @@ from counterspin.ingest.questions import AXES, SENSES, FileQuestion, parse_answe
 
 GRAVITY = FileQuestion("gravity", "?", "9.8066 ± 1e-5 m/s^2", quantity="m/s^2")
 LATITUDE = FileQuestion("latitude", "?", "45.75 deg", quantity="rad")
+RADIUS = FileQuestion("radius", "?", "2.5 m", quantity="m")
 RATE = FileQuestion("rate", "?", "0.25 rev/s", quantity="rad/s")
 AXIS = FileQuestion("axis", "?", "east", AXES)
 SENSE = FileQuestion("sense", "?", "clockwise", SENSES)
@@ -37,6 +38,9 @@ def test_answer_spellings_are_accepted(question, answer, meaning):
     ("question", "answer", "message"),
     [
         (GRAVITY, "9.8 m", "acceleration"),
+        (GRAVITY, "50", "50 m/s.2 is not a possible value of gravity"),
+        (LATITUDE, "100 deg", "a latitude must be between -90 deg and 90 deg"),
+        (RADIUS, "-2 m", "must be greater than zero"),
         (RATE, "30", "has no unit"),  # revolutions a minute as likely as degrees a second
         (AXIS, "noth", "did you mean 'north'"),
         (UNIT, "s", "is not a unit of length"),

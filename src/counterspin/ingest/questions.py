@@ -16,7 +16,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
-from counterspin.campaign.field_types import COMPASS_ANGLES
+from counterspin.campaign.field_types import (
+    COMPASS_ANGLES,
+    check_gravity,
+    check_latitude,
+    check_positive,
+)
 from counterspin.campaign.quantity import BARE_NUMBER, normalize_latitude, parse_quantity
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import (
@@ -42,6 +47,12 @@ from counterspin.readings.cells import SENSE_WORDS
 from counterspin.records.unit_notation import parse_file_unit
 from counterspin.units import STANDARD_GRAVITY, unit_factor
 
+#: Key -> check of the range of its answer.
+_RANGE_CHECKS: Final = {
+    "gravity": check_gravity,
+    "latitude": check_latitude,
+    "radius": check_positive,
+}
 SENSES: Final = ("counterclockwise", "clockwise")
 AXES: Final = ("east", "west", "north", "south", "up", "down")
 #: Prefix, in place of a question's key, of problems with the files themselves.
@@ -109,7 +120,9 @@ class FileQuestion:
             is_bare = BARE_NUMBER.fullmatch(normalized_text) and self.key != "rate"
             text = f"{normalized_text} {example_unit}" if is_bare else normalized_text
             text = str(normalize_latitude(text)) if self.key == "latitude" else text
-            parse_quantity(text, self.quantity)
+            quantity = parse_quantity(text, self.quantity)
+            if self.key in _RANGE_CHECKS:
+                _RANGE_CHECKS[self.key](quantity)
             return text
         if self.unit:
             unit = parse_file_unit(normalized_text) or normalized_text
