@@ -291,6 +291,28 @@ def test_future_issue_and_equipment_due_during_calibration_are_reported(
         assert key is None or f"was due on {due}, earlier than certificate.{key}." in out
 
 
+@pytest.mark.parametrize(
+    ("date", "is_outside"),
+    [
+        ("2026-01-11", True),
+        ("2026-01-12T09:00:00+09:00", False),
+        ("2026-01-15", True),
+        ("spring 2026", False),
+        (None, False),
+    ],
+)
+def test_campaign_date_outside_calibration_is_reported(
+    certificate_folder, capsys, date, is_outside
+):
+    document = json.loads((certificate_folder / "r.json").read_text())
+    document["details"] = {} if date is None else {"date": date}
+    (certificate_folder / "r.json").write_text(seal_document(document))
+    _, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")
+    words = f"The date of the campaign, {date}, is not between certificate.begin, 2026-01-12, and"
+    assert (words in out) is is_outside
+    assert "The date of the campaign" not in out or is_outside
+
+
 def test_characters_without_glyph_are_reported(certificate_folder, capsys, monkeypatch):
     monkeypatch.setattr(
         "counterspin.reports.pdf.find_missing_glyphs", lambda text: "王" * text.count("王")

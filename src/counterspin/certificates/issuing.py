@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field, replace
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -356,6 +356,7 @@ def certificate(
         accelerometers=names,
         notes=[
             *_omission_notes(lab_data, judged_result),
+            *_campaign_date_notes(lab_data, judged_result),
             *issue_notes(lab_data, issue, missing_entries),
             *signer_notes(signer, issue),
         ],
@@ -433,6 +434,20 @@ def _omission_notes(lab: Lab, result: Result) -> Iterator[str]:
         yield (
             "These accelerometers are not certified (see certificate.accelerometers): "
             f"{', '.join(excluded_names)}."
+        )
+
+
+def _campaign_date_notes(lab: Lab, result: Result) -> Iterator[str]:
+    """Yield a note if the date of the campaign is not within the calibration."""
+    try:
+        campaign_date = datetime.fromisoformat(result.details.get("date", "").strip()).date()
+    except ValueError:
+        return  # missing, or another text
+    begin, end = lab.certificate.begin, lab.certificate.end
+    if not begin <= campaign_date <= end:
+        yield (
+            f"The date of the campaign, {campaign_date}, is not between certificate.begin, "
+            f"{begin}, and certificate.end, {end}."
         )
 
 
