@@ -39,8 +39,9 @@ _MIN_NOISE_TO_HEAD: Final = 0.3
 #: Factor of a prior standard uncertainty that constrains a term to its prior.
 _CONSTRAINT_FACTOR: Final = 1e-6
 
-#: Number of iterations with full steps, and then with steps of each smaller size.
+#: Number of iterations with full steps, and number of those with full or half steps.
 _MAX_UNDAMPED_ITERATIONS: Final = 15
+_MAX_HALVED_ITERATIONS: Final = 60
 
 #: Largest deviation of the linearisation point from a prior, in largest credible sizes.
 _MAX_DEVIATION_IN_LIMITS: Final = 10.0
@@ -255,7 +256,8 @@ def _solve(
         variance = sd**2
         relative_moves = np.abs(new_point - point) / np.where(sd > 0, sd, 1.0)
         # Positioning errors may oscillate, so the step is halved, and later halved again.
-        damping = 0.5 ** (iteration // _MAX_UNDAMPED_ITERATIONS)
+        is_late = iteration >= _MAX_UNDAMPED_ITERATIONS, iteration >= _MAX_HALVED_ITERATIONS
+        damping = 0.5 ** sum(is_late)
         point = new_point if damping == 1.0 else point + damping * (new_point - point)
         if relative_moves.max(initial=0.0) < _STEP_TOLERANCE:
             break
