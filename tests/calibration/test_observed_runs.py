@@ -112,7 +112,7 @@ def plain_folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["copy.csv", "copy.parquet", "sub/../slow.csv"])
+@pytest.mark.parametrize("name", ["copy.csv", "copy.parquet", "later.csv", "sub/../slow.csv"])
 def test_rejects_duplicate_record(plain_folder, tmp_path, name):
     (tmp_path / "sub").mkdir()
     record = pl.read_csv(plain_folder / "slow.csv")
@@ -120,6 +120,7 @@ def test_rejects_duplicate_record(plain_folder, tmp_path, name):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     record.write_csv(tmp_path / "copy.csv")
     record.write_parquet(tmp_path / "copy.parquet")
+    record.with_columns(pl.col("time_s") + 1000.0).write_csv(tmp_path / "later.csv")
     again = f'[[runs]]\nname = "again"\nrate = "0.25 rev/s"\nrecord = "{name}"\n\n[simulation]'
     with raises("duplicate-record", "slow.csv"):
         list(

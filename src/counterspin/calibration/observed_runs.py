@@ -175,9 +175,12 @@ def duplicate_record_error(
 
 
 def _samples_digest(record: Record) -> bytes:
-    """Return a digest that two records share only if all their samples are equal."""
+    """Return a digest that two records share only if all their samples are equal.
+
+    The times do not count, because an export may give them another zero.
+    """
     digest = hashlib.sha256()
-    for values in (record.time, record.angle, *record.signals.values()):
+    for values in (record.angle, *record.signals.values()):
         if values is not None:
             digest.update(np.ascontiguousarray(values).data)
     return digest.digest()
