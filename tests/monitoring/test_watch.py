@@ -117,9 +117,9 @@ def test_invalid_interval_is_rejected(folder, capsys):
 def test_goals_are_checked(folder):
     for goal, words in (
         ("K_9 1e-8", '"K_9" is not estimated'),
-        ("K_II much", "^`goal`: K_II: 'much' "),
+        ("K_II much", "^goal: K_II: 'much' "),
         ("K_II -1", "greater than zero"),
-        ("K_II 1 m", "^`goal`: K_II: "),
+        ("K_II 1 m", "^goal: K_II: "),
     ):
         with pytest.raises(CampaignError, match=words):
             cs.watch(folder, goals=[goal])

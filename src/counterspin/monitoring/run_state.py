@@ -223,7 +223,7 @@ def resolve_goals(
         if isinstance(goals, Path):
             raise CampaignError(str(goals), problems.lines)
         messages = [problem.removeprefix("goal.target.") for problem in problems.lines]
-        raise CampaignError("`goal`", messages, code=[error_code(p) for p in problems.lines])
+        raise CampaignError("goal", messages, code=[error_code(p) for p in problems.lines])
     return dict(resolved_goal.sizes)
 
 
