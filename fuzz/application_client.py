@@ -365,8 +365,8 @@ def unthreaded_application(app_state: InlineAppState, tracebacks: list[str]) -> 
         endpoints._unexpected_error_response,
     )
 
-    def record_error(error: Exception) -> endpoints.ApiResponse:
-        response = make_error_response(error)
+    def record_error(app: AppState, error: Exception) -> endpoints.ApiResponse:
+        response = make_error_response(app, error)
         if response.status == 500:
             tracebacks.append("".join(traceback.format_exception(error)))
         return response
