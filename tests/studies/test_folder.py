@@ -264,7 +264,7 @@ def test_foreign_figure_prevents_resuming(campaign, unfinished_folder, name):
 
 def test_folder_options_require_folder(campaign, capsys):
     for option in ("--keep-trials", "--resume"):
-        assert main(["study", str(campaign), option]) == 1
+        assert main(["study", str(campaign), option]) == 2
         assert f"{option} requires the folder " in capsys.readouterr().err
 
 
