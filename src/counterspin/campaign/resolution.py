@@ -183,7 +183,7 @@ class DescriptionReader:
         priors = own_priors
         # After a mistake that hides all readings, their terms are not unknown.
         hides_readings = (
-            problems.lines and not readings and ("readings" in raw or not resolved_runs)
+            bool(problems.lines) and not readings and ("readings" in raw or not resolved_runs)
         )
         if settings is not None:
             setup = MeasurementSetup(
