@@ -185,7 +185,8 @@ def _remove_duplicate_results(result_set: ResultSet) -> None:
 
 
 def _no_results_message(paths: Sequence[Path | str | Result], result_set: ResultSet) -> str:
-    inputs_text = ", ".join("memory" if isinstance(path, Result) else str(path) for path in paths)
+    names = ["memory" if isinstance(path, Result) else str(path) for path in paths]
+    inputs_text = ", ".join(names) or "`paths`"
     unused_results = [*result_set.damaged_files, *result_set.omitted_results]
     if not unused_results:
         return f"{inputs_text} contains no results. Write a result with `write_result`" + (

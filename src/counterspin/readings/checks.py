@@ -50,6 +50,8 @@ from counterspin.reports.numbers import format_number
 #: Largest number of outlying positions that are reported individually, and this as a fraction of
 #: all readings. More outliers indicate an error of the model.
 _MAX_SINGLE_POSITIONS: Final = 3
+#: Degrees of freedom below which residuals have none.
+_MIN_STATED_DOF: Final = 0.05
 _MAX_SINGLE_SHARE: Final = 0.25
 
 #: Kind of hysteresis -> its cause in a message.
@@ -156,10 +158,8 @@ def _check_residual_dof(view: AccelerometerView) -> list[Finding]:
     if dof >= MIN_DOF:
         return []
     count = sum(group.readings.size for group in stated_groups)
-    dof_text = format_number(dof, 2)
-    dof_clause = "degree of freedom remains" if dof_text == "1" else "degrees of freedom remain"
     text = (
-        f"After the fit of {count} readings, {dof_text} {dof_clause}, so patterns "
+        f"After the fit of {count} readings, {remaining_dof_clause(dof)}, so patterns "
         "in the residuals, such as a drift, hysteresis or a "
         f"missing term, cannot be detected{_detection_clause(dof)}. Take more readings, or "
         "state priors for more terms."
@@ -191,11 +191,18 @@ def _detection_clause(dof: float) -> str:
     return f", and residuals reveal errors only above {ratio_text} times the stated uncertainty"
 
 
+def remaining_dof_clause(dof: float) -> str:
+    """Return a clause on the degrees of freedom of residuals."""
+    text = format_number(dof, 2) if dof >= _MIN_STATED_DOF else "no"
+    noun_and_verb = "degree of freedom remains" if text == "1" else "degrees of freedom remain"
+    return f"{text} {noun_and_verb}"
+
+
 def untestable_finding(name: str, group: FittedReadings) -> Finding:
     """Return the finding that too few degrees of freedom remain to test the residuals."""
     text = (
         f"After the fit of {group.readings.size} {group.label} without a stated uncertainty, "
-        f"{format_number(group.tested_dof, 2)} degrees of freedom remain, so the residuals "
+        f"{remaining_dof_clause(group.tested_dof)}, so the residuals "
         "cannot be tested. State the uncertainty of the readings, or take more readings."
     )
     return Finding(code="unjudged-readings", subject=name, text=text)

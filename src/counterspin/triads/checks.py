@@ -15,11 +15,11 @@ from counterspin.readings.checks import (
     find_patterns,
     outlier_findings,
     pattern_clause,
+    remaining_dof_clause,
     untestable_finding,
 )
 from counterspin.readings.fitted import MIN_DOF, FittedReadings
 from counterspin.readings.patterns import STEP, TERM, Pattern
-from counterspin.reports.numbers import format_number
 
 #: Largest number of alternative terms in a message.
 _MAX_TERMS: Final = 4
@@ -86,9 +86,8 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
 
 
 def _check_residual_dof(group: FittedReadings) -> Finding:
-    dof_text = format_number(group.residual_dof, 2) if group.residual_dof >= 0.05 else "no"
     text = (
-        f"After the fit of {group.readings.size} poses, {dof_text} degrees of freedom remain, so "
-        "the residuals cannot be tested. Measure more poses."
+        f"After the fit of {group.readings.size} poses, "
+        f"{remaining_dof_clause(group.residual_dof)}, so the residuals cannot be tested. Measure more poses."
     )
     return Finding(code="unjudged-readings", subject=TRIAD, text=text)
