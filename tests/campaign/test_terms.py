@@ -19,7 +19,7 @@ ARCSEC = np.pi / 648000
 
 
 def acts(row, mounting, attitude):
-    return row.effect.acts_on(mounting.rotate(attitude).input_axis, attitude)
+    return row.effect.acts_on(mounting.turned(attitude).input_axis, attitude)
 
 
 def resolve_terms(mountings, attitudes=(LEVEL,), given=None, **settings):

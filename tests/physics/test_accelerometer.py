@@ -86,12 +86,12 @@ def test_direction_rejects_invalid_vector(value):
 def test_turned_mounting_rotates_axes_with_platform():
     # The platform's x points north, y west, z up: turned by 90 degrees about the vertical.
     attitude = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    assert QX.rotate(attitude) == QY
-    assert QX.rotate(np.eye(3)) == QX
+    assert QX.turned(attitude) == QY
+    assert QX.turned(np.eye(3)) == QX
     # On its side: x up, y north, z west. The input axis of Qx follows x, of Qz follows z.
     side = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    assert QX.rotate(side) == Mounting.from_axes("up", "east", "north")
-    assert QZ.rotate(side) == Mounting.from_axes("west", "up", "north")
+    assert QX.turned(side) == Mounting.from_axes("up", "east", "north")
+    assert QZ.turned(side) == Mounting.from_axes("west", "up", "north")
 
 
 # --- Eq. 7 ----------------------------------------------------------------------------------

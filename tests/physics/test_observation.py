@@ -197,7 +197,7 @@ def simulate_errors(mounting, sets, attitude, times):
     values = {kind: np.transpose(rows) for kind, rows in values.items()}
     sensitivity, compliance = (values[kind].reshape(number, 3, 3) for kind in MATRICES)
     start = attitude @ rodrigues(-values["tilt"])
-    along = mounting.rotate(attitude).input_axis
+    along = mounting.turned(attitude).input_axis
 
     def rates(time, state):
         state = state.reshape(number, 11)
@@ -360,7 +360,7 @@ def test_columns_are_invariant_under_common_rotation(spindle, turn, mounting):
     )
     plain = columns(Trajectory(spindle, 2.5, STILL), mounting, OWN, TIMES)
     turned = columns(
-        Trajectory(turned_spindle, 2.5, STILL), mounting.rotate(rotation_about_up(turn)), OWN, TIMES
+        Trajectory(turned_spindle, 2.5, STILL), mounting.turned(rotation_about_up(turn)), OWN, TIMES
     )
     assert_close(turned, plain)
 

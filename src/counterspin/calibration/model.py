@@ -250,7 +250,7 @@ def _is_active(
     if isinstance(row.effect, SpecificForceProduct):
         arm_axes = (reading.axes for reading in campaign.readings if reading.motion == "arm")
         table_axes = (
-            accelerometer.mounting.rotate(run.attitude)
+            accelerometer.mounting.turned(run.attitude)
             for run in campaign.runs
             if run.turns_in_space
             for accelerometer in campaign.accelerometers.values()
@@ -307,7 +307,7 @@ def _is_observable(symbol: str, observable: str, mounting: Mounting, attitude_by
     """Return whether a shared term affects a record."""
     effect, attitude = SHARED_TERMS[symbol].effect, np.frombuffer(attitude_bytes).reshape(3, 3)
     is_sensitive = effect.acts_on if observable == "displacement" else effect.affects_output
-    return is_sensitive(mounting.rotate(attitude).input_axis, attitude)
+    return is_sensitive(mounting.turned(attitude).input_axis, attitude)
 
 
 def _inseparable_squares(campaign: Campaign, unknowns: Sequence[Unknown]) -> Iterator[Unknown]:

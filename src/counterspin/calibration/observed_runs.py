@@ -196,7 +196,7 @@ def _expected_harmonic(
     """
     if run.table_ratio == 0.0:
         return None
-    east, north, _ = accelerometer.mounting.rotate(run.attitude).input_axis
+    east, north, _ = accelerometer.mounting.turned(run.attitude).input_axis
     if math.hypot(east, north) < _MIN_HORIZONTAL_COMPONENT:
         return None
     derivative_order = 2 - observation.ORDERS[accelerometer.observable]
@@ -266,7 +266,7 @@ def _apply_platform_velocity(
     axis_errors = []
     for signal in signals.values():
         accelerometer = signal.accelerometer
-        axis = accelerometer.mounting.rotate(run.attitude).input_axis
+        axis = accelerometer.mounting.turned(run.attitude).input_axis
         # The reference contains the residual gravity, which also affects the velocity.
         residual_gravity = observation.residual_gravity(
             campaign.site, axis, time, accelerometer.observable

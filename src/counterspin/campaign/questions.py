@@ -83,7 +83,7 @@ def _question_removed_gravity(campaign: Campaign) -> Iterator[Question]:
         run_names = [
             run.name
             for run in campaign.runs
-            if abs(accelerometer.mounting.rotate(run.attitude).input_axis[2])
+            if abs(accelerometer.mounting.turned(run.attitude).input_axis[2])
             > _MIN_VERTICAL_COMPONENT
         ]
         if not run_names or accelerometer.observable == "specific_force":
@@ -110,7 +110,7 @@ def _question_own_velocity(campaign: Campaign) -> Iterator[Question]:
     for run in campaign.runs:
         axes = {
             name: AxisError(
-                accelerometer.mounting.rotate(run.attitude).input_axis,
+                accelerometer.mounting.turned(run.attitude).input_axis,
                 accelerometer.observable,
                 no_times,
                 no_times,

@@ -74,7 +74,7 @@ def acting_rows(
     mountings, attitudes: Mountings of the accelerometers, attitudes of the runs.
     """
     axes = [
-        (mounting.rotate(attitude).input_axis, attitude)
+        (mounting.turned(attitude).input_axis, attitude)
         for mounting, attitude in product(mountings, attitudes)
     ]
     return tuple(

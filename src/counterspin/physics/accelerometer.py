@@ -108,7 +108,7 @@ class Mounting:
         """The input axis in east-north-up, shape (3,)."""
         return np.array(self.axes[0])
 
-    def rotate(self, attitude: Array) -> Mounting:
+    def turned(self, attitude: Array) -> Mounting:
         """Return the mounting for another attitude of the platform.
 
         Parameters

@@ -80,7 +80,7 @@ def reference(
             return reference(path, static, times, observable, attitude)
 
         return mounting.response.filter_record(trajectory.spindle, static_record, sensed_record)
-    axis = mounting.rotate(attitude).input_axis
+    axis = mounting.turned(attitude).input_axis
     quantity = {"displacement": "position"}.get(observable, observable)
     result: Array = getattr(motion_at(trajectory, times), quantity) @ axis
     if trajectory.site.gravity_left:
@@ -163,7 +163,7 @@ def columns(
         return shifts.apply(trajectory.spindle, static_columns)
     order = ORDERS[observable]
     effects = [term(symbol).effect for symbol in symbols]
-    integrals = _TimeIntegrals(trajectory, mounting.rotate(attitude), attitude, times, order)
+    integrals = _TimeIntegrals(trajectory, mounting.turned(attitude), attitude, times, order)
     linear_vectors = {
         i: vector
         for i, effect in enumerate(effects)

@@ -90,7 +90,7 @@ def simulate_record(
             trajectory, mounting, coefficients, shared_values, times, observable, attitude
         )
     order = observation.ORDERS[observable]
-    axes = mounting.rotate(attitude)
+    axes = mounting.turned(attitude)
     trajectory = perturb_trajectory(trajectory, shared_values)
     platform_values = {
         symbol: value for symbol, value in shared_values.items() if symbol in PLATFORM_TERMS

@@ -250,7 +250,7 @@ def mean_square_fault(name: str) -> Fault:
         series, trajectory = observation.series, observation.series.trajectory
         times = np.arange(16.0) / 16.0 * (2.0 * math.pi / abs(trajectory.spindle.rate))
         input_force = (
-            trajectory.specific_force(times) @ series.mounting.rotate(series.attitude).input_axis
+            trajectory.specific_force(times) @ series.mounting.turned(series.attitude).input_axis
         )
         mean_square = float(np.mean((input_force / trajectory.site.gravity) ** 2))
         return np.asarray(mean_square * series.columns(["K_F"], 1.0)[:, 0])

@@ -320,7 +320,7 @@ class TermWeights:
         clock_effect = series.rescale_clock(_CLOCK_STEP).reference() - series.reference()
         derivative: Array = column - clock_effect / _CLOCK_STEP - order * errors
         if order == 1:
-            axis = series.mounting.rotate(series.attitude).input_axis
+            axis = series.mounting.turned(series.attitude).input_axis
             derivative = derivative + series.trajectory.acceleration(series.time) @ axis
         return derivative
 

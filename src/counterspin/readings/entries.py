@@ -400,7 +400,7 @@ def _parse_value(
 def _resolve_axes(run: Run, mounting: Mounting | None) -> Mounting | None:
     """Return the accelerometer's axes in the frame of the motion; None if they are invalid."""
     if run.axes is None:
-        return None if mounting is None else mounting.rotate(run.attitude)
+        return None if mounting is None else mounting.turned(run.attitude)
     directions = FRAMES[run.motion]
     return Mounting.from_axes(
         *(_resolve_direction(value, directions) for value in (run.axes.input, run.axes.pendulous))

@@ -441,7 +441,7 @@ def _simulate_outputs(
     errors = []
     for name, accelerometer in campaign.accelerometers.items():
         observable = accelerometer.observable
-        axis = accelerometer.mounting.rotate(run.attitude).input_axis
+        axis = accelerometer.mounting.turned(run.attitude).input_axis
         reference_signal = observation.reference(
             perturbed_trajectory, accelerometer.mounting, times, observable, run.attitude
         )

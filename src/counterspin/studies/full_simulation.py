@@ -478,7 +478,7 @@ class FullEngine:
             ]
         else:
             runs = [records.strobed_run(run, self.owner, request) for run in range(len(setup.runs))]
-        result = second_stage(runs, setup.mountings[self.owner], request, ignored_symbols=())
+        result = second_stage(runs, setup.mountings[self.owner], request, ignored=())
         if estimated_noise is not None:
             result = apply_noise_uncertainty(result, estimated_noise.noise, estimated_noise)
         solution = result.fit.solution
@@ -487,7 +487,7 @@ class FullEngine:
 
 def _make_strobed_run(record: ResidualSeries, request: TwoStageRequest) -> StrobedRun:
     """Return a run with the strobes of its full record, as in `calibrate`."""
-    phase = strobe_angle(record.mounting.rotate(record.attitude).input_axis)
+    phase = strobe_angle(record.mounting.turned(record.attitude).input_axis)
     angle = record.trajectory.spindle.angle(record.time)
     strobes = by_angle(record.time, angle, record.error, phase)
     parabola = request.first_stage(strobes, record.trajectory, record.timestamp_sd)

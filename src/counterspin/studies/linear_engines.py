@@ -435,7 +435,7 @@ def noise_free_second_stage(
     records = TrialRecords(noise_free_setup, draws, np.random.default_rng(0))
     request = replace(request, sigma=request.sigma or truth.white_noise)
     runs = [records.strobed_run(run, owner, request) for run in range(len(setup.runs))]
-    return second_stage(runs, setup.mountings[owner], request, ignored_symbols=())
+    return second_stage(runs, setup.mountings[owner], request, ignored=())
 
 
 def _residual_b2(result: SecondStage, estimate: Array) -> Array:

@@ -134,7 +134,7 @@ class SimulationSetup:
 
     def strobes(self, run: int, name: str) -> Array:
         """Return the spindle angles of the strobes of an accelerometer, rad, in time order."""
-        axis = self.mountings[name].rotate(self.attitudes[run]).input_axis
+        axis = self.mountings[name].turned(self.attitudes[run]).input_axis
         spindle, phase = self.spindles[run], strobe_angle(axis)
         end_angles = sorted(
             spindle.start_angle + spindle.rate * time for time in (0.0, self.durations[run])

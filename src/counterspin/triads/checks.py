@@ -88,6 +88,7 @@ def _pattern_finding(group: FittedReadings, pattern: Pattern) -> Finding:
 def _check_residual_dof(group: FittedReadings) -> Finding:
     text = (
         f"After the fit of {group.readings.size} poses, "
-        f"{remaining_dof_clause(group.residual_dof)}, so the residuals cannot be tested. Measure more poses."
+        f"{remaining_dof_clause(group.residual_dof)}, so the residuals cannot be tested. "
+        "Measure more poses."
     )
     return Finding(code="unjudged-readings", subject=TRIAD, text=text)

@@ -129,7 +129,7 @@ def test_fit_matches_dense_weighted_least_squares(mounting, nominal):
         along["drift"] = expected[2]
         expected, parts = dense_least_squares(those, mounting, priors, columns, of_drift)
     request = TwoStageRequest(priors=priors, nominal_angle=nominal)
-    second_stage_result = second_stage(those, mounting, request, ignored_symbols=())
+    second_stage_result = second_stage(those, mounting, request, ignored=())
     assert second_stage_result.symbols == ("K_II", "K_F", DRIFT)[: 2 + nominal]
     solution = second_stage_result.fit.solution
     near = 1e-6 if nominal else 1e-9
@@ -150,7 +150,7 @@ def test_budget_sums_to_u_and_names_sources(weighted):
         make_runs(),
         QX,
         TwoStageRequest(priors=priors, weighted=weighted, u_radius=1e-4),
-        ignored_symbols=(),
+        ignored=(),
     )
     for place in range(2):
         lines = budget(second_stage_result.fit, place)
@@ -276,7 +276,7 @@ def test_strobe_residuals_are_in_row():
 
 
 def solve_second_stage(priors):
-    return second_stage(make_runs(), QX, TwoStageRequest(priors=priors), ignored_symbols=())
+    return second_stage(make_runs(), QX, TwoStageRequest(priors=priors), ignored=())
 
 
 def compare_with_runs(second):
@@ -328,6 +328,6 @@ def test_tilts_of_runs_are_compared_separately_and_jointly():
 def test_term_without_other_information_is_not_tested():
     # As many runs as unknowns, K_F's prior among what is needed.
     request = TwoStageRequest(priors={"K_F": (0.004, 2e-6)})
-    comparison = compare_with_runs(second_stage(make_runs()[:1], QX, request, ignored_symbols=()))
+    comparison = compare_with_runs(second_stage(make_runs()[:1], QX, request, ignored=()))
     assert comparison["K_F"][2] == 0.0
     assert math.isinf(comparison["K_F"][1])

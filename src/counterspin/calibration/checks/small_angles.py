@@ -63,7 +63,7 @@ def check_tilts(
         if not tilt.any():
             continue
         for name, accelerometer in accelerometers.items():
-            axis = campaign.accelerometers[name].mounting.rotate(run.attitude).input_axis
+            axis = campaign.accelerometers[name].mounting.turned(run.attitude).input_axis
             k_ii = accelerometer.coefficients.get("K_II")
             abs_k_ii = abs(k_ii.value or 0.0) if k_ii is not None else 0.0
             for symbol, shift in _second_order_shifts(tilt, np.abs(axis), abs_k_ii).items():

@@ -394,7 +394,7 @@ def make_request(
             code="method-not-applicable",
         )
     for run in campaign.runs:
-        strobe_angle(accelerometer.mounting.rotate(run.attitude).input_axis)
+        strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)
     priors = {
         parameter.symbol: parameter.prior
         for parameter in (*model.unknowns, *model.considered)

@@ -79,7 +79,7 @@ def columns(
         return np.empty((series.time.size, 0))
     indices = [_angle_error_symbols(angle_error).index(symbol) for symbol in symbols]
     motion, order = series.trajectory, series.order
-    matrix = series.mounting.rotate(series.attitude).matrix
+    matrix = series.mounting.turned(series.attitude).matrix
     effects = {TERMS[symbol].effect: value for symbol, value in coefficients.items() if value}
     linear_sensitivity = matrix[0] + sum(
         value * row.weight * matrix["IPO".index(row.factors[0])]

@@ -194,7 +194,7 @@ def coriolis_mistakes(fit: JointFit, *, uses_own_velocity: bool) -> Iterator[Alt
         errors = []
         for i in block_indices:
             series = fit.design_blocks[i].series
-            site, axis = series.trajectory.site, series.mounting.rotate(series.attitude).input_axis
+            site, axis = series.trajectory.site, series.mounting.turned(series.attitude).input_axis
             residual_gravity = observation.residual_gravity(
                 site, axis, series.time, series.observable
             )

@@ -181,7 +181,7 @@ def _initial_rotations(series: Sequence[ResidualSeries]) -> tuple[ResidualSeries
     for run in dict.fromkeys(record.run for record in series):
         run_series = [record for record in series if record.run == run]
         horizontal_components = [
-            float(np.linalg.norm(record.mounting.rotate(record.attitude).input_axis[:2]))
+            float(np.linalg.norm(record.mounting.turned(record.attitude).input_axis[:2]))
             for record in run_series
         ]
         best_index = int(np.argmax(horizontal_components))

@@ -159,7 +159,7 @@ class ResidualSeries:
 
     def _samples_at_sign_changes(self, motion: Trajectory) -> tuple[npt.NDArray[np.intp], Array]:
         """Return the blocks in which a_I changes sign, and the times of all their samples, s."""
-        axis = self.mounting.rotate(self.attitude).input_axis
+        axis = self.mounting.turned(self.attitude).input_axis
         half_width = math.sqrt(3.0) * self.time_sd
         ends = self.time - half_width, self.time + half_width
         a_start, a_end = (motion.specific_force(t) @ axis for t in ends)

@@ -167,7 +167,7 @@ MIN_SIGMA: Final = np.finfo(float).tiny ** 0.25
 
 def select_strobes(series: ResidualSeries) -> tuple[ResidualSeries, Strobes]:
     """Return a record reduced to its strobes, with equivalent sample counts, and the strobes."""
-    phase = strobe_angle(series.mounting.rotate(series.attitude).input_axis)
+    phase = strobe_angle(series.mounting.turned(series.attitude).input_axis)
     angle = series.trajectory.spindle.angle(series.time)
 
     def interpolate_strobes(values: Array) -> Strobes:

@@ -278,7 +278,7 @@ def second_stage(
     mounting: Mounting,
     request: TwoStageRequest | None = None,
     *,
-    ignored_symbols: Sequence[str] = ("K_III",),
+    ignored: Sequence[str] = ("K_III",),
 ) -> SecondStage:
     """Estimate K_II and the other unknowns from the b2 of several runs.
 
@@ -323,7 +323,7 @@ def second_stage(
         )
         for name, run in zip(names, runs, strict=True)
     ]
-    ignored_priors = {symbol: (term(symbol).nominal, 0.0) for symbol in ignored_symbols}
+    ignored_priors = {symbol: (term(symbol).nominal, 0.0) for symbol in ignored}
     considered = tuple(
         Considered(owner, symbol, prior, term(symbol).limit)
         for symbol, prior in {**ignored_priors, **request.considered}.items()
