@@ -42,7 +42,7 @@ CODES: Final[Mapping[str, str]] = {
     "conflicting-values": "Values contradict each other.",
     "unknown-choice": "A value is not one of the allowed values.",
     "invalid-date": "A value is not a date.",
-    "missing-unit": "A quantity has no unit.",
+    "missing-unit": "A quantity lacks its unit.",
     "unknown-unit": "A unit is unknown.",
     "wrong-unit": "A unit has the wrong dimension, or its meaning is ambiguous.",
     "wrong-uncertainty": "An uncertainty is missing or negative, or is not allowed for this entry.",
@@ -105,7 +105,7 @@ CODES: Final[Mapping[str, str]] = {
     # Results, certificates and studies
     "result-altered": "A result was changed after it was written.",
     "missing-in-result": "A result does not contain the required data.",
-    "missing-input": "A correction requires an additional specific force or a temperature.",
+    "missing-input": "A correction requires a temperature, or specific force along another axis.",
     "as-printed": "The equations as printed in the paper are not permitted for this purpose.",
     "no-results": "No result matches the selection.",
     "results-not-comparable": "Results cannot be compared.",

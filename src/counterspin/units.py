@@ -108,7 +108,7 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
     "Hz": ("a frequency", "Hz, kHz, 1/s"),
     "1": ("a dimensionless ratio", "1, ppm"),
     "m/s^2/Hz^0.5": ("a random-walk coefficient", "g/Hz^0.5, ug/Hz^0.5, m/s^2/Hz^0.5, m/s/s^0.5"),
-    "m/s^2/s^0.5": ("a random walk of a bias", "ug/h^0.5, g/s^0.5, m/s^2/s^0.5"),
+    "m/s^2/s^0.5": ("a bias random walk", "ug/h^0.5, g/s^0.5, m/s^2/s^0.5"),
     "g": ("a specific force", "g, mg, ug"),
     "g/g": ("a scale factor", "g/g, ppm"),
     "g/g^2": ("a second-order coefficient", "g/g^2, mg/g^2, ug/g^2"),

@@ -129,7 +129,7 @@ def test_unused_column_has_reason(page, folder):
     assert reasons == {
         "index": "The column contains row numbers.",
         "status": "The value is 7 in every row.",
-        "marker": "The column is empty in every row.",
+        "marker": "The column has no values.",
         "note": "The column contains text, not numbers: ok",
     }
     assert columns["count"]["reason"].startswith("The column does not vary with the rotation")

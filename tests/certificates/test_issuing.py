@@ -270,7 +270,7 @@ def test_only_selected_accelerometers_are_certified(certificate_folder, capsys):
 def test_issue_date_before_end_is_reported(certificate_folder, capsys, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     _, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")
-    assert "The day of issue, 2023-11-14, is earlier than certificate.end, 2026-01-14." in out
+    assert "The date of issue, 2023-11-14, is earlier than certificate.end, 2026-01-14." in out
 
 
 def test_future_issue_and_equipment_due_during_calibration_are_reported(

@@ -173,7 +173,7 @@ def test_windows_command_keeps_backslashes(tmp_path, keys, monkeypatch):
         ("import sys; sys.exit(3)", "failed with exit status 3: no reason given"),
         (
             "print('words')",
-            "wrote 6 bytes that are not a signature with the key of its certificate",
+            "wrote 6 bytes that are not a signature of its certificate's key",
         ),
     ],
 )

@@ -481,7 +481,7 @@ SLIPS = {
     "a rate at rest": (
         "angle,w,mA\n0,0,1.25\n30,6.28,1.1\n",
         'columns = { attitude = "angle", rate = "w", reading = "mA" }',
-        'readings."r.csv line 3".rate: a static run does not rotate; omit the rate',
+        'readings."r.csv line 3".rate: a static run has no rotation; omit the rate',
     ),
     "text for a rate": (
         "w,mA\nfast,1.25\n",

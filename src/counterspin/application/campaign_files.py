@@ -250,7 +250,7 @@ def _idle_campaign_folder(app: AppState, name: str) -> Path:
     active_jobs = [job for job in app.jobs.all() if job.state in ("waiting", "running")]
     if any(job.campaign == name or job.campaign.startswith(f"{name}/") for job in active_jobs):
         raise RequestError(
-            f"{name}: a job is running in this campaign; stop the job or wait until the job ends"
+            f"{name}: a job is running in this campaign; stop it, or wait until it ends"
         )
     return source
 

@@ -128,7 +128,7 @@ def _describe_text_column(contents: FileContents, name: str) -> ColumnEntry:
     """Return the first cells of a text column, and the reason why it is unused."""
     cells = contents.text_cells.get(name) or contents.first_text_cells.get(name, ())
     distinct_cells = list(dict.fromkeys(cell[:_MAX_CELL_LENGTH] for cell in cells if cell))
-    reason = "The column is empty in every row."
+    reason = "The column has no values."
     if distinct_cells:
         ellipsis = " ..." if len(distinct_cells) > _MAX_CELLS else ""
         cells_text = ", ".join(distinct_cells[:_MAX_CELLS]) + ellipsis

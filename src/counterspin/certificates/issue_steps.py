@@ -51,7 +51,7 @@ def issue_notes(lab: Lab, issue: Issue, missing_entries: Sequence[MissingEntry])
 
     if (issue_day := issue.date.date()) < lab.certificate.end:
         yield (
-            f"The day of issue, {issue_day}, is earlier than certificate.end, "
+            f"The date of issue, {issue_day}, is earlier than certificate.end, "
             f"{lab.certificate.end}."
         )
     # In other time zones, the day may be one later.
@@ -86,7 +86,7 @@ def signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
     valid_from = signer.certificates[0].not_valid_before_utc.date()
     if not valid_from <= issue.date.date() <= valid_until:
         yield (
-            f"The day of issue, {issue.date.date()}, is outside the validity period of the "
+            f"The date of issue, {issue.date.date()}, is outside the validity period of the "
             f"signer's certificate ({valid_from} to {valid_until}). After {valid_until}, verifiers "
             "will not accept the signature."
         )

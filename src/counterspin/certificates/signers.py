@@ -197,8 +197,8 @@ def _sign_with_command(arguments: Sequence[str], data: bytes, public_key: Any) -
         public_key.verify(process.stdout, data, *_signature_scheme(public_key))
     except InvalidSignature as error:
         raise make_error(
-            f"wrote {len(process.stdout)} bytes that are not a signature with the key of its "
-            "certificate (RSA by PKCS #1 v1.5, or ECDSA in DER, of SHA-256, is expected)"
+            f"wrote {len(process.stdout)} bytes that are not a signature of its certificate's "
+            "key (expected: RSA PKCS #1 v1.5 or DER-encoded ECDSA, both with SHA-256)"
         ) from error
     return process.stdout
 

@@ -335,15 +335,18 @@ def find_frequency(time: Array, values: Array) -> float | None:
     t, y = time[is_valid][:_MAX_SAMPLES], values[is_valid][:_MAX_SAMPLES]
     if t.size < 16 or t[-1] <= t[0]:
         return None
-    even_times = np.linspace(t[0], t[-1], t.size)
-    y = np.interp(even_times, t, y)
-    x = (even_times - even_times.mean()) / (even_times[-1] - even_times[0])
+    uniform_times = np.linspace(t[0], t[-1], t.size)
+    y = np.interp(uniform_times, t, y)
+    x = (uniform_times - uniform_times.mean()) / (uniform_times[-1] - uniform_times[0])
     y = y - np.polynomial.polynomial.polyval(x, np.polynomial.polynomial.polyfit(x, y, 2))
     sum_of_squares = float(np.sum(y**2))
     power = np.abs(np.fft.rfft(y * np.hanning(y.size), 4 * y.size)) ** 2
     peak_index = int(np.argmax(power[8:])) + 8
-    peak_frequency = peak_index / (4 * y.size * (even_times[1] - even_times[0]))
-    if sum_of_squares == 0.0 or peak_frequency * (even_times[-1] - even_times[0]) < _MIN_PERIODS:
+    peak_frequency = peak_index / (4 * y.size * (uniform_times[1] - uniform_times[0]))
+    if (
+        sum_of_squares == 0.0
+        or peak_frequency * (uniform_times[-1] - uniform_times[0]) < _MIN_PERIODS
+    ):
         return None
     # Refine the peak by a parabola through three points, then fit the oscillation.
     if peak_index + 1 < power.size:
@@ -351,7 +354,7 @@ def find_frequency(time: Array, values: Array) -> float | None:
         curvature = log_before - 2.0 * log_peak + log_after
         shift = 0.5 * (log_before - log_after) / curvature if curvature < 0.0 else 0.0
         peak_frequency *= (peak_index + shift) / peak_index
-    amplitude, _ = fit_wave(2.0 * np.pi * peak_frequency * even_times, y)
+    amplitude, _ = fit_wave(2.0 * np.pi * peak_frequency * uniform_times, y)
     return (
         float(peak_frequency)
         if amplitude**2 / 2.0 * y.size > _MIN_WAVE_FRACTION * sum_of_squares

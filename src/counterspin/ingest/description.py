@@ -162,13 +162,13 @@ def make_draft(
     all_contents: Sequence[FileContents], answers: Mapping[str, str], test: Test
 ) -> AnyDraft:
     """Make a draft from the files of a test."""
-    makers: dict[Test, Callable[..., AnyDraft]] = {
+    draft_factories: dict[Test, Callable[..., AnyDraft]] = {
         "double-turntable": make_turntable_draft,
         "tumble": make_tumble_draft,
         "arm": make_arm_draft,
         "poses": make_poses_draft,
     }
-    return makers[test](all_contents, answers)
+    return draft_factories[test](all_contents, answers)
 
 
 def write_description(draft: AnyDraft, folder: Path) -> Path:

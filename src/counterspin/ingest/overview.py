@@ -99,7 +99,7 @@ def _find_sampling_remarks(guess: FileGuess) -> Iterator[str]:
         n_times = int(np.sum(np.diff(join_bursts(guess.shared_times.values)) > 0.0)) + 1
         yield (
             f"repeated times or bursts: the {guess.shared_times.values.size} rows of column "
-            f"'{guess.shared_times.name}' have {n_times} different times or bursts; "
+            f"'{guess.shared_times.name}' have {n_times} distinct times or bursts; "
             f"{guess.uncounted_reason or 'time is calculated from the row count'}"
         )
     if guess.time is None or guess.contents.is_mixed:

@@ -68,10 +68,10 @@ def find_contradictions(run: Run) -> Iterator[Contradiction]:
             Problem(f'"{run.mounting}" contains a dot; remove it', "invalid-name"),
             "mounting",
         ),
-        (is_static and is_rotating, "a static run does not rotate; omit the rate", "rate motion"),
+        (is_static and is_rotating, "a static run has no rotation; omit the rate", "rate motion"),
         (
             is_vibration and is_rotating,
-            "a run on a shaker does not rotate; omit the rate",
+            "a run on a shaker has no rotation; omit the rate",
             "rate motion",
         ),
         (
@@ -179,7 +179,7 @@ def collect_readings(
         others_text = ""
         if n_others:
             others = "another reading has" if n_others == 1 else f"{n_others} others have"
-            others_text = f", and {others} none either"
+            others_text = f", and {others} neither"
         message = f"has no value yet{others_text}; enter the reading, or add [truth] to simulate it"
         problems.add(blank_paths[0], message, "missing-value")
     return tuple(readings)

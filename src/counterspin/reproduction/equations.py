@@ -53,8 +53,8 @@ def _mean_force_rows() -> tuple[Row, ...]:
             float(np.mean(printed_acceleration)) / RIPPLE_UNIT,
             float(np.mean(exact_acceleration)) / RIPPLE_UNIT,
             "R w0 w_p sin(phi)",
-            "the tangential part has the wrong sign, and -sin(w0 t) d(theta) is omitted; a "
-            "periodic motion has no mean acceleration",
+            "the tangential part has the wrong sign, and -sin(w0 t) d(theta) is omitted; the "
+            "mean acceleration of a periodic motion is zero",
             "z.3f",
         ),
     )

@@ -129,7 +129,7 @@ def study(
                 study_progress.resume()
             else:
                 study_progress.clear()
-        _warn_of_duration(
+        _warn_about_duration(
             study_engine, trials - batch_results.trials_done, pool.size if pool else 1
         )
         is_complete = run_batches(
@@ -160,7 +160,7 @@ def _check_memory(engine: StudyEngine, n_trials: int) -> None:
         )
 
 
-def _warn_of_duration(engine: StudyEngine, n_trials: int, n_workers: int) -> None:
+def _warn_about_duration(engine: StudyEngine, n_trials: int, n_workers: int) -> None:
     seconds = expected_duration(engine, n_trials) / n_workers
     if seconds < _WARNING_DURATION:
         return

@@ -102,7 +102,7 @@ export class CertificateForm extends Editor {
 
   profileRow() {
     return make("div", { class: "row" }, this.profileButton(), make("p", { class: "help" },
-      "The laboratory profile provides the entries on the laboratory, the personnel and the traceability for the next certificate."));
+      "The laboratory profile provides the laboratory, personnel and traceability entries of the next certificate."));
   }
 
   profileButton() {

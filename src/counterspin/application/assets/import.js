@@ -65,7 +65,7 @@ function importPanel(onFiles) {
       "LabVIEW. The files stay on this machine."),
     make("div", { class: "row" }, labelled("Recorder files", files), labelled("Folder for the new campaign (optional)", folder), sample),
     pastedTable((file) => takeFiles([file])),
-    make("p", { class: "quiet note" }, "Files that you choose now replace the files below. Choose the files of all runs together."), container);
+    make("p", { class: "quiet note" }, "If you choose files again, they replace the files below. Choose the files of all runs together."), container);
   dropZone.addEventListener("dragover", (event) => {
     event.preventDefault();
     dropZone.classList.add("over");

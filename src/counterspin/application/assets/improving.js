@@ -113,7 +113,7 @@ export async function improvementsPart(name, result) {
       ...setSymbols(`Add ${runs.count} run${runs.count === 1 ? "" : "s"} with attitude ${runs.attitude} (${runs.minutes} min of records): ` +
         `the uncertainty of ${stated.symbol}${ownerText} would fall from ${runs.current_u} to ${runs.remaining_u}. `),
       make("button", { type: "button",
-        onclick: prepare(accelerometer, "runs", "These runs were added to a copy of the campaign. Record them, then calibrate the copy.") }, "Prepare a copy with these runs"))]
+        onclick: prepare(accelerometer, "runs", "These runs were added to a copy of the campaign. Record them, then run the calibration in the copy.") }, "Prepare a copy with these runs"))]
       : response.searched ? [make("li", {}, `No run at another attitude would reduce the uncertainty of ${stated.symbol}${ownerText}.`)] : [];
     return [make("li", {},
       ...setSymbols(`Measure or specify the ${termLabel({ name: stated.source, words: stated.words })}, with a standard uncertainty of ${stated.assumed_u}: ` +

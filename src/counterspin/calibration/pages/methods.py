@@ -130,12 +130,12 @@ def _method_sentence(result: Result) -> str:
         record_texts = ["all samples of the records"] if result.runs else []
         observation_text = " and ".join([*record_texts, *reading_texts, *pose_texts])
         return (
-            f"Weighted least squares fits {observation_text} together. Priors enter as "
+            f"Weighted least squares fits {observation_text} jointly. Priors enter as "
             "pseudo-observations. The fit does not adjust considered quantities. Their "
             "uncertainties are propagated through their sensitivity coefficients."
         )
     return (
-        "Weighted least squares fits all samples of all runs and accelerometers together. Priors "
+        "Weighted least squares fits all samples of all runs and accelerometers jointly. Priors "
         "enter as pseudo-observations. The fit does not adjust considered quantities. Their "
         "uncertainties are propagated through their sensitivity coefficients. Each run has a "
         "separate initial offset and initial velocity."

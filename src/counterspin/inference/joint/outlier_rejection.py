@@ -433,7 +433,7 @@ def _correlation_time(residuals: Mapping[int, Array], spacing: Mapping[int, floa
     n_rows = sum(values.size for values in residuals.values())
     min_ratio = max(_MIN_VARIANCE_RATIO, 1.0 + _THRESHOLD_SDS * 1.5 / math.sqrt(n_rows))
     lag = max(spacing.values())
-    first_variances = {
+    initial_variances = {
         i: _third_difference_variance(values, max(round(lag / spacing[i]), 1))
         for i, values in residuals.items()
     }
@@ -444,12 +444,12 @@ def _correlation_time(residuals: Mapping[int, Array], spacing: Mapping[int, floa
         selected_steps = {
             i: k
             for i, k in steps.items()
-            if residuals[i].size >= 6 * k and first_variances[i] > 0.0
+            if residuals[i].size >= 6 * k and initial_variances[i] > 0.0
         }
         counts = {i: residuals[i].size / k for i, k in selected_steps.items()}
         n_total = sum(counts.values())
         weighted_ratio = sum(
-            counts[i] * _third_difference_variance(residuals[i], k) / first_variances[i]
+            counts[i] * _third_difference_variance(residuals[i], k) / initial_variances[i]
             for i, k in selected_steps.items()
         )
         return weighted_ratio / max(n_total, 1.0), n_total

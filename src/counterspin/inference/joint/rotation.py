@@ -52,7 +52,7 @@ def find_rotation(
     angle and for rate errors up to a tenth. The Gauss-Newton method then refines them in the joint
     fit of all series.
     """
-    rotated_series = _initial_rotations(series)
+    rotated_series = _with_initial_rotations(series)
     # A misalignment without a prior acts like a start angle; its steps must remain small.
     bounded_model = replace(model, unknowns=tuple(map(_bound_prior, model.unknowns)))
     for _ in range(_MAX_ITERATIONS):
@@ -175,7 +175,7 @@ def _bound_prior(unknown: Unknown) -> Unknown:
     return replace(unknown, prior=(unknown.nominal, unknown.limit))
 
 
-def _initial_rotations(series: Sequence[ResidualSeries]) -> tuple[ResidualSeries, ...]:
+def _with_initial_rotations(series: Sequence[ResidualSeries]) -> tuple[ResidualSeries, ...]:
     """Return the series along the initial rotation of each run."""
     rotations = {}
     for run in dict.fromkeys(record.run for record in series):

@@ -131,7 +131,7 @@ class DifferencedRecord:
         length = basis_length(self.length)
         n_cosines = basis_size((white_variance, *ratios[1:]), self.spacing, length, self.order)
         scale = self._scale(ratios)
-        triangle, log_det = self._triangle(ratios[0] / scale, ratios[1] / scale, n_cosines)
+        triangle, log_det = self._triangular_factor(ratios[0] / scale, ratios[1] / scale, n_cosines)
         covariance = coefficient_covariance(ratios, n_cosines, length, self.walk_duration) / scale
         cosines = triangle[:n_cosines, :n_cosines]
         rows = triangle[:, n_cosines:] / math.sqrt(scale)
@@ -160,7 +160,7 @@ class DifferencedRecord:
             return float(ratios[0] + ratios[1] / spacing[0])
         return ratios[0] or ratios[1]
 
-    def _triangle(self, white: float, walk: float, n_cosines: int) -> tuple[Array, float]:
+    def _triangular_factor(self, white: float, walk: float, n_cosines: int) -> tuple[Array, float]:
         """Return the triangle of whitened [cosines | stack], and the log-determinant."""
         is_even = self.order == SPECIFIC_FORCE and np.ptp(self.differences.spacing) == 0.0
         if is_even and not self._is_heteroscedastic:
@@ -258,7 +258,7 @@ class RestrictedLikelihood:
         """Return unknowns whose columns span the column space, on which the likelihood depends."""
         from scipy.linalg import qr
 
-        rows = np.vstack([self._triangle(WHITE)[0], self.prior])[:, :-1]
+        rows = np.vstack([self._triangular_factor(WHITE)[0], self.prior])[:, :-1]
         scaled_rows = rows / np.linalg.norm(rows, axis=0)
         factor, order = qr(scaled_rows, mode="r", pivoting=True)
         return np.sort(order[: factor.shape[0]][np.abs(np.diagonal(factor)) > 1e-11])
@@ -316,7 +316,7 @@ class RestrictedLikelihood:
     def value(self, log_scale: float, ratios: Variances) -> float:
         """Return the restricted log-likelihood, except for a constant of the records."""
         triangle, _ = self._joint_triangle(log_scale, ratios)
-        log_det = self._triangle(ratios)[1] + self.n_rows * log_scale
+        log_det = self._triangular_factor(ratios)[1] + self.n_rows * log_scale
         log_information = 2 * float(np.log(np.abs(np.diagonal(triangle)[:-1])).sum())
         return -(log_det + log_information + float(triangle[-1, -1]) ** 2) / 2
 
@@ -342,7 +342,7 @@ class RestrictedLikelihood:
         return self.scales[ratios]
 
     def _best_scale(self, ratios: Variances) -> float:
-        values = self._triangle(ratios)[0][:, -1]
+        values = self._triangular_factor(ratios)[0][:, -1]
         dof = self.n_rows - self.prior.shape[1] + 1
         # If the unknowns can follow all rows, residuals are due to priors: start from above.
         rss = float(values[-1]) ** 2 if dof > 0 else float(values @ values)
@@ -375,14 +375,14 @@ class RestrictedLikelihood:
 
     def _joint_triangle(self, log_scale: float, ratios: Variances) -> tuple[Array, Array]:
         """Return the triangle of [unknowns | observations] with and without the priors."""
-        data_triangle = self._triangle(ratios)[0] * math.exp(-log_scale / 2)
+        data_triangle = self._triangular_factor(ratios)[0] * math.exp(-log_scale / 2)
         return (
             triangular_factor(np.vstack([data_triangle, self.prior]))
             if len(self.prior)
             else data_triangle
         ), data_triangle
 
-    def _triangle(self, ratios: Variances) -> tuple[Array, float]:
+    def _triangular_factor(self, ratios: Variances) -> tuple[Array, float]:
         """Return the triangle of the whitened rows at unit scale, and the log-determinant."""
         if ratios not in self.triangles:
             n_columns = self.prior.shape[1]

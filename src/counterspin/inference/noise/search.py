@@ -397,8 +397,10 @@ def _average_bias_noise(
             * (walk_variances / central_variance) ** PRIOR_EXPONENT
         )
         posterior = UndetectedWalk(walk_variances, weights / weights.sum())
-        negligible = np.array([1e-9 * central_variance * math.exp(_LOG_VARIANCE_OFFSETS[0])])
-        variances[index], inverse_dof = marginal_walk(posterior, negligible, np.ones(1))
+        negligible_variance = np.array(
+            [1e-9 * central_variance * math.exp(_LOG_VARIANCE_OFFSETS[0])]
+        )
+        variances[index], inverse_dof = marginal_walk(posterior, negligible_variance, np.ones(1))
         covariance[index], covariance[:, index] = 0.0, 0.0
         covariance[index, index] = 2.0 * variances[index] ** 2 * float(inverse_dof[0])
     return tuple(variances), covariance
