@@ -48,9 +48,7 @@ def test_finding_matches_table(mistake, measurement):
 
 def test_likely_cause_is_named():
     texts = {row.name: row.text for row in TABLE.load() if row.measurement == "tumble"}
-    sign = (
-        "Check the sign of the output, and the directions of the input axis and of the attitudes."
-    )
+    sign = "Check the sign of the output, and the senses of the input axis and of the attitudes."
     assert sign in texts["wrong sign of all readings"]
     assert sign in texts["attitude angles in the opposite sense, input axis east at angle zero"]
     assert "may be in m/s^2 instead of g." in texts["m/s^2 instead of g"]

@@ -7,6 +7,7 @@ import json
 import platform
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -140,9 +141,10 @@ def _detect_kind(document: object) -> str | None:
     if not isinstance(document, dict):
         return None
     for name in RESULT_CLASSES:
-        result_class: type[ResultFile] = load_name(f"counterspin.{name}")
-        if _required_keys(result_class) <= set(document):
-            return result_class.KIND
+        with suppress(ModuleNotFoundError):  # of an extension that is not installed
+            result_class: type[ResultFile] = load_name(f"counterspin.{name}")
+            if _required_keys(result_class) <= set(document):
+                return result_class.KIND
     return None
 
 

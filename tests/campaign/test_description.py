@@ -427,7 +427,7 @@ def test_missing_file_error_suggests_init(tmp_path):
 def test_toml_error_states_line(tmp_path):
     text = edit(('"2.5 ± 1e-5 m"', "2.5 m"))
     line = text[: text.index("2.5 m")].count("\n") + 1
-    with pytest.raises(CampaignError, match=rf"campaign.toml: line {line}, column \d+: expected"):
+    with pytest.raises(CampaignError, match=rf"campaign.toml: line {line}, column \d+: more text"):
         read_campaign(write_description(tmp_path, text))
 
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -148,9 +149,13 @@ def test_interrupt_ends_prompt_at_once(tmp_path, plain_folder):
         output = b""
         while not output.endswith(b"> "):
             output += os.read(process.stdout.fileno(), 4096)
-        time.sleep(0.2)
-        process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=10)
+        error = None
+        for _ in range(6):
+            time.sleep(0.2)
+            process.send_signal(signal.SIGINT)  # too early if the process does not read yet
+            with suppress(subprocess.TimeoutExpired):
+                _, error = process.communicate(timeout=10)
+                break
     finally:
         process.kill()
         os.close(terminal)

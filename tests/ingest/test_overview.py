@@ -147,9 +147,7 @@ def test_rows_with_repeated_times_are_counted(tmp_path):
     time, values = np.arange(2000) * 0.01, rng.normal(size=2000)
     time[2::3] = time[1::3][: time[2::3].size]
     repeated = contents_of({"time_s": time, "a": values})
-    assert (
-        "2000 rows of column 'time_s' have 1334 different times" in describe_files([repeated])[-1]
-    )
+    assert "2000 rows of column 'time_s' have 1334 distinct times" in describe_files([repeated])[-1]
     assert guess_file(repeated).sampling_rate == pytest.approx(100.0, rel=1e-3)
     keep = rng.random(2000) > 0.2
     lost = guess_file(contents_of({"time_s": time[keep], "a": values[keep]}))

@@ -18,7 +18,7 @@ from counterspin.simulation.simulate import simulate
 
 SIGMA = 2e-6
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
-SIGN = "the sign of the output, and the directions of the input axis and of the attitudes"
+SIGN = "the sign of the output, and the senses of the input axis and of the attitudes"
 
 
 def calibrate_tumble(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):

@@ -169,7 +169,7 @@ def _scale_factor_cause(value: float, limit: float) -> str:
     causes = []
     if value < -limit or (value < 0.0 and matching_factors):
         causes.append(
-            "the sign of the output, and the directions of the input axis and of the attitudes"
+            "the sign of the output, and the senses of the input axis and of the attitudes"
         )
     if 1.0 not in matching_factors and matching_factors:
         causes.append(", or ".join(factors[factor] for factor in matching_factors))
