@@ -263,7 +263,7 @@ def test_corrected_file_can_be_uploaded_under_same_name(open_window, folder):
     files = [record | {"buffer": content} for content in contents]
     tab.get_by_label("Recorder files").set_input_files(files)
     tab.get_by_role("heading", name="Columns in run.csv, 2 files").wait_for()
-    tab.get_by_text("Files that you choose now replace the files below.").wait_for()
+    tab.get_by_text("If you choose files again, they replace the files below.").wait_for()
     tab.get_by_text("Moved the files of run to the trash.").wait_for()
     assert sorted(path.name for path in folder.iterdir()) == [TRASH_FOLDER, "run", "three"]
     assert [(folder / "run" / f"run{n}.csv").read_bytes() for n in ("", "-2")] == contents

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 
 import numpy as np
 import pytest
@@ -137,15 +137,23 @@ def test_rejects_invalid_options(tmp_path, plain_folder, capsys):
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
 def test_interrupt_ends_prompt_at_once(tmp_path, plain_folder):
     terminal, stdin = os.openpty()
+    # Processes of a shell in the background ignore SIGINT.
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from counterspin.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
     words = ["init", str(tmp_path / "new"), "--from", str(plain_folder / "slow.csv")]
     process = subprocess.Popen(
-        [sys.executable, "-m", "counterspin", *words],
+        [sys.executable, "-c", code, *words],
         stdin=stdin,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
     )
-    try:
+    with process, ExitStack() as stack:
+        stack.callback(os.close, terminal)
+        stack.callback(os.close, stdin)
+        stack.callback(process.kill)
         output = b""
         while not output.endswith(b"> "):
             output += os.read(process.stdout.fileno(), 4096)
@@ -156,9 +164,5 @@ def test_interrupt_ends_prompt_at_once(tmp_path, plain_folder):
             with suppress(subprocess.TimeoutExpired):
                 _, error = process.communicate(timeout=10)
                 break
-    finally:
-        process.kill()
-        os.close(terminal)
-        os.close(stdin)
     assert (process.returncode, error) == (130, b"counterspin: stopped\n")
     assert not (tmp_path / "new").exists()

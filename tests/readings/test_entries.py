@@ -131,7 +131,7 @@ def test_reading_without_uncertainty_has_no_u(tmp_path):
 SLIPS = {
     "a static run with a rate": (
         HEAD + RUN + 'rate = "1 rad/s"\n',
-        "runs[0].rate: a static run does not rotate",
+        "runs[0].rate: a static run has no rotation",
     ),
     "an arm without a rate": (
         HEAD + ARM + ON_ARM.replace('rate = "9.9 rad/s"\n', ""),

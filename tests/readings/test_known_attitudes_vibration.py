@@ -181,7 +181,7 @@ def test_table_and_runs_return_same_result(tmp_path):
         ('amplitude = "5.0 g"\n', "", "amplitude: is missing"),
         ('amplitude = "5.0 g"', 'amplitude = "-5.0 g"', "must be greater than zero"),
         ('amplitude = "5.0 g"', 'amplitude = "5.0 mm"', "amplitude"),
-        ('amplitude = "5.0 g"', 'amplitude = "5.0 g"\nrate = "1 rad/s"', "does not rotate"),
+        ('amplitude = "5.0 g"', 'amplitude = "5.0 g"\nrate = "1 rad/s"', "has no rotation"),
         ('motion = "vibration"', 'motion = "static"', 'write motion = "vibration"'),
         ('attitude = "level"\nreading', "reading", "requires a position"),
     ],
