@@ -289,9 +289,10 @@ def test_rejects_as_printed_and_undetermined_results():
     undetermined = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
     with raises("not-determined", "Qx"):
         check_certifiable(make_qx_result(coefficients={"K_II": undetermined}), ["Qx"])
-    without_interval = make_coefficient(2e-5, 1e-9, "g/g^2", dof=0.1)
-    with raises("not-determined", "Qx.K_II has less than one degree of freedom"):
-        check_certifiable(make_qx_result(coefficients={"K_II": without_interval}), ["Qx"])
+    for dof in (0.0, 0.1):
+        without_interval = make_coefficient(2e-5, 1e-9, "g/g^2", dof=dof)
+        with raises("not-determined", "Qx.K_II has less than one degree of freedom"):
+            check_certifiable(make_qx_result(coefficients={"K_II": without_interval}), ["Qx"])
     check_certifiable(make_qx_result(), ["Qx"])
 
 

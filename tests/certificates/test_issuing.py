@@ -285,7 +285,7 @@ def test_future_issue_and_equipment_due_during_calibration_are_reported(
         text = LAB.replace('language = "de"', f"issued = {issued}")
         write_lab(certificate_folder, f'{text}[[equipment]]\nname = "clock"\ndue = {due}\n')
         _, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", f"{due}.xml")
-        is_future = f"certificate.issued, {issued}, lies in the future." in out
+        is_future = f"certificate.issued, {issued}, is in the future." in out
         assert is_future is (issued == "2026-02-04")
         assert ("was due on" in out) is (key is not None)
         assert key is None or f"was due on {due}, earlier than certificate.{key}." in out
@@ -320,7 +320,7 @@ def test_characters_without_glyph_are_reported(certificate_folder, capsys, monke
     for name, is_missing in (("王", True), ("A. Erste", False)):
         write_lab(certificate_folder, LAB.replace("A. Erste", name))
         _, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", f"{is_missing}.xml")
-        assert ("lack the characters 王, so the pages show squares" in out) is is_missing
+        assert ("have no glyphs for 王, so the pages show squares" in out) is is_missing
 
 
 def test_template_draft_cannot_be_signed(certificate_folder, capsys):

@@ -28,7 +28,7 @@ def test_arguments_in_messages_become_options(words, raised, message):
     assert translate_message(raised, cli.app, words) == message
 
 
-def test_quoted_path_is_no_option():
+def test_quoted_path_is_not_an_option():
     assert [quote_path(Path(p)) for p in ("-x", "a b", "./-y/z", "a-b")] == [
         "./-x",
         "'a b'",

@@ -87,7 +87,8 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
         )
     for name in names:
         for symbol, coefficient in result.accelerometers[name].coefficients.items():
-            if coefficient.estimated and (coefficient.dof or math.inf) < MIN_INTERVAL_DOF:
+            dof = math.inf if coefficient.dof is None else coefficient.dof
+            if coefficient.estimated and dof < MIN_INTERVAL_DOF:
                 raise RecordError(
                     f"{name}.{symbol} has less than one degree of freedom, so its expanded "
                     "uncertainty cannot be certified; state the uncertainty of the readings, or "

@@ -56,19 +56,20 @@ def issue_notes(lab: Lab, issue: Issue, missing_entries: Sequence[MissingEntry])
         )
     # In other time zones, the day may be one later.
     if (issued := lab.certificate.issued) and issued > parse_issue_date().date() + timedelta(1):
-        yield f"certificate.issued, {issued}, lies in the future."
+        yield f"certificate.issued, {issued}, is in the future."
     for equipment in lab.equipment:
-        key = "begin" if (equipment.due or date.max) < lab.certificate.begin else "end"
+        due = equipment.due or date.max
+        key = "begin" if due < lab.certificate.begin else "end"
         limit: date = getattr(lab.certificate, key)
-        if equipment.due is not None and equipment.due < limit:
+        if due < limit:
             yield (
-                f"The calibration of {equipment.name} was due on {equipment.due}, earlier than "
+                f"The calibration of {equipment.name} was due on {due}, earlier than "
                 f"certificate.{key}, {limit}."
             )
     if missing_glyphs := find_missing_glyphs(lab.model_dump_json(warnings="none")):
         yield (
-            f"The fonts of this computer lack the characters {missing_glyphs}, so the pages show "
-            "squares instead. The XML contains the characters. Install a font that has them."
+            f"The fonts of this computer have no glyphs for {missing_glyphs}, so the pages show "
+            "squares instead. The XML is not affected. Install a font with these glyphs."
         )
     if missing_entries:
         yield (

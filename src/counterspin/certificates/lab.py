@@ -377,6 +377,7 @@ def read_lab(
     source, document, problems, lab = _load_lab(path)
     _check_terms(lab, problems, result.inputs.gravity, result.accelerometers)
     _check_accelerometers(document, result, problems)
+    _check_item(document, result, problems)
     specifications = None
     if isinstance(document.get("specification"), dict):
         specifications = resolve_specifications(
@@ -447,21 +448,18 @@ def _check_accelerometers(document: Mapping[str, Any], result: Result, problems:
         problems.add(
             ("certificate", "accelerometers"), "must have at least one entry", "missing-value"
         )
+    listed_names = list_of(settings, "accelerometers")
     named_paths: list[tuple[KeyPath, object]] = [
-        *(
-            (("certificate", "accelerometers", index), name)
-            for index, name in enumerate(list_of(settings, "accelerometers"))
-        ),
+        *((("certificate", "accelerometers", i), name) for i, name in enumerate(listed_names)),
         *((("accelerometers", name), name) for name in tables),
     ]
-    for index, name in enumerate(list_of(settings, "accelerometers")):
-        if name in list_of(settings, "accelerometers")[:index]:
+    for index, name in enumerate(listed_names):
+        if name in listed_names[:index]:
             problems.add(
                 ("certificate", "accelerometers", index),
                 f'"{name}" occurs twice; keep only one of them',
                 "conflicting-values",
             )
-    _check_item(document, result, problems)
     for path, name in named_paths:
         if isinstance(name, str) and name not in result_names:
             problems.add(

@@ -112,7 +112,7 @@ class BatchWorkers:
         from counterspin.workers import Workers
 
         Workers(self.workers, self.cluster)
-        text = "`workers` and `cluster` have no effect, because there is only a single campaign"
+        text = "`workers` and `cluster` have no effect on a single campaign"
         warnings.warn(CounterspinWarning(text, code="too-many-workers"), stacklevel=3)
 
 

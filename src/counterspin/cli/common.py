@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -165,6 +164,8 @@ def quote_path(path: Path) -> str:
 
 def make_prompts_interruptible() -> None:
     """Let Ctrl-C end a prompt at once; polars lets the operating system continue to read."""
+    import signal
+
     if hasattr(signal, "siginterrupt"):  # not on Windows
         signal.siginterrupt(signal.SIGINT, True)
 
@@ -199,7 +200,8 @@ def describe_usage_error(error: CycloptsError, arguments: Sequence[str]) -> str:
         case UnknownCommandError() if arguments and arguments[0].startswith("-"):
             message = f"unknown option: {arguments[0]}"
         case UnusedCliTokensError(unused_tokens=[*tokens]) if tokens:
-            message = f"{prefix}unexpected argument: {' '.join(map(quote_word, tokens))}"
+            noun = "argument" if len(tokens) == 1 else "arguments"
+            message = f"{prefix}unexpected {noun}: {' '.join(map(quote_word, tokens))}"
         case RepeatArgumentError():
             message = f"{prefix}{error.token.keyword} may be given only once"
         case MissingArgumentError(argument=Argument() as argument):

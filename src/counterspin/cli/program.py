@@ -49,7 +49,7 @@ def install_completion(
     Parameters
     ----------
     shell
-        Shell; default: the current shell. Its startup file is extended to load the completion.
+        Shell; default: the current shell. counterspin extends its startup file.
     """
     from cyclopts.completion import ShellDetectionError
 

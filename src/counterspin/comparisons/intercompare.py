@@ -90,9 +90,10 @@ def intercompare(
     names = _laboratory_names(results, loaded_results)
     laboratories = dict(zip(names, loaded_results, strict=True))
     _require_comparable(laboratories)
+    accelerometers = _common_accelerometers(laboratories)
     reference_values = [
         _evaluate_reference_value(accelerometer, symbol, laboratories)
-        for accelerometer in _common_accelerometers(laboratories)
+        for accelerometer in accelerometers
         for symbol in _compared_symbols(accelerometer, laboratories, coefficients)
     ]
     if not reference_values:
@@ -102,7 +103,7 @@ def intercompare(
         significance=SIGNIFICANCE,
         laboratories=list(laboratories),
         references=reference_values,
-        assumed=[*_describe_assumptions(laboratories)],
+        assumed=[*_describe_assumptions(laboratories, accelerometers)],
         unsealed=[name for name, result in laboratories.items() if not result.sealed],
     )
 
@@ -162,7 +163,9 @@ def _common_accelerometers(laboratories: Mapping[str, Result]) -> list[str]:
     return names
 
 
-def _describe_assumptions(laboratories: Mapping[str, Result]) -> Iterator[str]:
+def _describe_assumptions(
+    laboratories: Mapping[str, Result], accelerometers: Sequence[str]
+) -> Iterator[str]:
     """Yield the assumptions on common sources, and the conversions of outputs."""
     unnamed_laboratories = [
         name for name, result in laboratories.items() if "laboratory" not in result.details
@@ -174,7 +177,7 @@ def _describe_assumptions(laboratories: Mapping[str, Result]) -> Iterator[str]:
             "measurement."
         )
     (first_name, first_result), *other_results = laboratories.items()
-    for accelerometer in _common_accelerometers(laboratories):
+    for accelerometer in accelerometers:
         for name, result in other_results:
             yield from describe_output_conversion(
                 accelerometer, (first_result, result), (first_name, name)

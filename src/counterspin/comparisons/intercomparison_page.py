@@ -90,8 +90,7 @@ def _degree_tables(reference: ReferenceValue) -> Iterator[Table]:
         rounded = round_to_uncertainty(d * factor, expanded_u_d * factor) if expanded_u_d else None
         if rounded is None:
             return format_number(d * factor), format_number(expanded_u_d * factor, 2)
-        power_text = f"e{rounded.exponent}" if rounded.exponent else ""
-        return rounded.value + power_text, rounded.u + power_text
+        return rounded.value + rounded.power, rounded.u + rounded.power
 
     degree_rows = []
     for title, degree in reference.degrees.items():

@@ -29,6 +29,7 @@ from counterspin.reports.numbers import (
     NOT_DETERMINED,
     find_display_unit,
     format_estimate,
+    format_items,
     format_number,
     format_p,
 )
@@ -53,8 +54,8 @@ def comparison_blocks(comparison: ResultComparison) -> Iterator[Block]:
     for result in comparison.results:
         if result.state == "contradicted":
             yield Paragraph(
-                f"The records contradict {result.name}, so its uncertainties and the tests below "
-                "are not valid for this result.",
+                f"The records contradict {result.name}, so its uncertainties and its tests below "
+                "are not valid.",
                 "warning",
             )
     for agreement in sorted(comparison.agreements, key=lambda agreement: agreement.agrees):
@@ -164,9 +165,8 @@ def agreement_sentence(comparison: ResultComparison, agreement: PairAgreement) -
         )
     verdict = "agree" if agreement.agrees else "differ significantly"
     test_text = (
-        f"chi-square {format_number(agreement.chi2)} with {agreement.dof} "
-        f"{'degree' if agreement.dof == 1 else 'degrees'} of freedom, "
-        f"{format_p(agreement.p)}"
+        f"chi-square {format_number(agreement.chi2)} with "
+        f"{format_items(agreement.dof, 'degree')} of freedom, {format_p(agreement.p)}"
     )
     return f"{subject} {verdict} ({test_text}; {overlap_text})."
 

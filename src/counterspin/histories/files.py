@@ -216,7 +216,7 @@ def _add_file(file: Path, term: str, result_set: ResultSet) -> None:
     try:
         result = judge_result(Result.read(file))
     except RecordError as error:
-        reason = str(error).removeprefix(f"{file}").lstrip(": ")
+        reason = str(error).removeprefix(str(file)).lstrip(": ")
         result_set.damaged_files.append(UnusedResult(file=str(file), reason=reason))
         return
     _add_result(result, str(file), term, result_set)

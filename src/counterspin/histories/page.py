@@ -126,8 +126,7 @@ def conclusion_sentences(history: History, instrument: InstrumentHistory) -> Ite
         def format_level(level: float) -> str:
             if rounded is None:
                 return format_number(level * factor, 17)
-            power_text = f"e{rounded.exponent}" if rounded.exponent else ""
-            return rounded.format(level * factor) + power_text
+            return rounded.format(level * factor) + rounded.power
 
         alarms = [
             *(f"{file} is outside the action limits" for file in chart.beyond),

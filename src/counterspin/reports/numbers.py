@@ -59,6 +59,11 @@ class RoundedEstimate:
     exponent: int  #: The common power of ten; 0 where none is needed.
     last_digit: int  #: Power of ten of the last digit.
 
+    @property
+    def power(self) -> str:
+        """Return the suffix of a number for the power of ten, such as ``e-6``; empty for 0."""
+        return f"e{self.exponent}" if self.exponent else ""
+
     def format(self, number: float) -> str:
         """Return another number with the same last digit and power of ten."""
         return _format_digits(_to_decimal(number), self.last_digit, self.exponent)
@@ -126,7 +131,7 @@ def format_compact(value: float | None, u: float | None) -> str:
     if rounded is None:
         return format_estimate(value, u)
     u_digits = rounded.u.removeprefix("0.").lstrip("0") if rounded.u.startswith("0.") else rounded.u
-    return f"{rounded.value}({u_digits})" + (f"e{rounded.exponent}" if rounded.exponent else "")
+    return f"{rounded.value}({u_digits}){rounded.power}"
 
 
 def format_interval(value: float, u: float, half_width: float, unit: str = "") -> str:
