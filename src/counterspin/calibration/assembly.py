@@ -159,7 +159,8 @@ def _record_end_findings(observed_runs: Sequence[ObservedRun]) -> list[Finding]:
     """Return the findings on records that end early or have isolated rows at an end."""
     findings = []
     for run in observed_runs:
-        name, (duration, nominal_duration) = run.run.name, _durations(run)
+        name = run.run.name
+        duration, nominal_duration = _durations(run)
         if nominal_duration is not None and duration < MIN_DURATION_FRACTION * nominal_duration:
             text = (
                 f"{name}: the record lasts {duration:.4g} s instead of the "

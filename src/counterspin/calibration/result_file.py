@@ -17,6 +17,7 @@ from counterspin.calibration.result_parts import (
     State,
     Trace,
 )
+from counterspin.inference.distributions import MIN_DOF
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.terms import TERMS
 
@@ -36,8 +37,6 @@ _MAX_QUANTILE: Final = 30.0
 _MAX_CORRELATION: Final = 1.0 + 1e-6
 #: States that follow from a finding.
 _EXPLAINED_STATES: Final = ("not-determined", "contradicted")
-#: Smallest valid degrees of freedom.
-_MIN_DOF: Final = 0.1
 
 
 def upgrade_document(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -138,7 +137,7 @@ def find_accelerometer_faults(name: str, accelerometer: AccelerometerResult) -> 
         yield f"{name} has no coefficients"
     yield from _coefficient_faults(name, accelerometer)
     for jackknife_line in accelerometer.jackknife:
-        if jackknife_line.dof is not None and not _MIN_DOF <= jackknife_line.dof < math.inf:
+        if jackknife_line.dof is not None and not MIN_DOF <= jackknife_line.dof < math.inf:
             yield f"{name} without {jackknife_line.run} has {jackknife_line.dof} degrees of freedom"
     if accelerometer.correlation:
         yield from matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
@@ -165,12 +164,12 @@ def _coefficient_faults(name: str, accelerometer: AccelerometerResult) -> Iterat
             yield f"{symbol} of {name} is {coefficient.value} ± {coefficient.u}"
         if coefficient.estimated and (coefficient.value is None) is not (coefficient.u is None):
             yield f"{symbol} of {name} has a value without u, or u without a value"
-        if coefficient.dof is not None and not _MIN_DOF <= coefficient.dof < math.inf:
+        if coefficient.dof is not None and not MIN_DOF <= coefficient.dof < math.inf:
             yield f"{symbol} of {name} has {coefficient.dof} degrees of freedom"
 
 
 def matrix_faults(description: str, correlation: Correlation) -> Iterator[str]:
-    """Yield a message if a matrix does not have the size of its terms, or is not a correlation."""
+    """Yield a message if a matrix is not a correlation matrix of its terms."""
     n_terms = len(correlation.terms)
     if [len(row) for row in correlation.matrix] != [n_terms] * n_terms:
         yield f"{description} is not one of {n_terms} terms"

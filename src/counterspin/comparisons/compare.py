@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.checks.comparability import describe_output_conversion
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, NominalOutput
+from counterspin.comparability import describe_output_conversion
 from counterspin.comparisons.estimates import (
     apply_joint_check,
     chi_square,

@@ -18,15 +18,15 @@ from typing import Final, Literal
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.checks.comparability import (
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Coefficient, NominalOutput
+from counterspin.comparability import (
     are_different,
     g_units_ratio,
     is_instrument_source,
     output_conversion,
     source_value,
 )
-from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient, NominalOutput
 from counterspin.comparisons.rerun import term_names
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail

@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.checks.comparability import are_different, describe_output_conversion
 from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.result import Result
 from counterspin.campaign.validation import suggest_name
+from counterspin.comparability import are_different, describe_output_conversion
 from counterspin.comparisons.compare import is_determined, name_results
 from counterspin.comparisons.consensus import (
     degrees_of_equivalence,

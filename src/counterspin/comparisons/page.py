@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from counterspin.calibration.checks.comparability import OUTPUT_SENTENCE_START, g_units_ratio
+from counterspin.comparability import OUTPUT_SENTENCE_START, g_units_ratio
 from counterspin.comparisons.result import (
     ComparedCoefficient,
     ComparedEstimate,

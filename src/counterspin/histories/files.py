@@ -10,10 +10,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Literal
 
-from counterspin.calibration.checks.comparability import source_value
 from counterspin.calibration.findings import judge_result, refusal_reason
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, NominalOutput
+from counterspin.comparability import source_value
 from counterspin.errors import CampaignError, RecordError, describe_read_error
 from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult

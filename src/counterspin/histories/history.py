@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.checks.comparability import (
+from counterspin.calibration.result import Result
+from counterspin.campaign.validation import suggest_name
+from counterspin.comparability import (
     are_different,
     g_units_ratio,
     is_instrument_source,
     output_conversion,
 )
-from counterspin.calibration.result import Result
-from counterspin.campaign.validation import suggest_name
 from counterspin.errors import CampaignError, CounterspinError, UsageError
 from counterspin.histories.consistency import (
     MAX_YEARS,

@@ -32,6 +32,9 @@ _STANDARD_NORMAL: Final = NormalDist()
 #: Smallest degrees of freedom: with fewer, the 95 % factor exceeds 1e12 and can overflow.
 MIN_DOF: Final = 0.1
 
+#: Smallest degrees of freedom for an interval; GUM G.4.1 truncates smaller ones to 0.
+MIN_INTERVAL_DOF: Final = 1.0
+
 
 def normal_cdf(x: float) -> float:
     """Return the probability that a standard normal variable is below x."""
@@ -189,10 +192,6 @@ def finite_dof(dof: float) -> float | None:
     Satterthwaite's formula gives numbers such as 9e16 if almost no part of u was estimated.
     """
     return dof if dof < _INFINITE_DOF else None
-
-
-#: Fewest degrees of freedom for an interval; GUM G.4.1 truncates fewer to 0.
-MIN_INTERVAL_DOF: Final = 1.0
 
 
 def expanded_uncertainty(u: float, dof: float | None, coverage: float = COVERAGE) -> float:

@@ -314,13 +314,11 @@ class Solution:
     def _stack_rows(self, data: Array, priors: Array) -> Array:
         """Return columns in all rows: of the blocks, the priors and the regularisation."""
         factors = self._factors
-        stacked_rows = np.zeros(
-            (data.shape[1], factors.rotation.shape[0])
-        ).T  # columns in one piece
+        rows = np.zeros((factors.rotation.shape[0], data.shape[1]), order="F")
         n, indices = factors.n_data, factors.prior_indices
-        stacked_rows[:n] = data
-        stacked_rows[n : n + indices.size] = priors[indices]
-        return stacked_rows
+        rows[:n] = data
+        rows[n : n + indices.size] = priors[indices]
+        return rows
 
     def combine(self, weights: npt.ArrayLike) -> Combination:
         """Return a linear combination of the unknowns, with its uncertainty split by source.
@@ -395,20 +393,18 @@ def solve(
 
     free = np.flatnonzero(sd > 0)
     prior_positions = np.flatnonzero(np.isfinite(sd[free]))  # positions among the free ones
-    unbounded_indices = (
-        np.flatnonzero(np.isinf(sd[free])) if bounds is not None else np.empty(0, np.intp)
-    )
+    is_regularised = np.isinf(sd[free]) & (bounds is not None)
     priors = free[prior_positions]
     correlation = None if prior_correlation is None else prior_correlation[np.ix_(priors, priors)]
     prior_weights = whiten_priors(np.eye(prior_positions.size), sd[priors], correlation)
     regularisation_weights = (
-        np.empty(0) if bounds is None else 1.0 / (REGULARISATION * bounds[free][unbounded_indices])
+        np.empty(0) if bounds is None else 1.0 / (REGULARISATION * bounds[free][is_regularised])
     )
     identity = np.eye(free.size)
     prior_rows = np.zeros((prior_positions.size, free.size))
     prior_rows[:, prior_positions] = prior_weights
     stacked_rows = np.vstack(
-        [factor[:, free], prior_rows, regularisation_weights[:, None] * identity[unbounded_indices]]
+        [factor[:, free], prior_rows, regularisation_weights[:, None] * identity[is_regularised]]
     )
     # Unknowns are relative to their prior means, so the target of the added rows is zero.
     misfit = np.concatenate([block.target for block in blocks])

@@ -5,5 +5,4 @@
 - `limits`: credible sizes of estimates
 - `small_angles`: drifts and tilts within the first-order theory of the attitude
 - `shifts`: shifts of coefficients compared with their uncertainties
-- `comparability`: units and uncertainty sources that results have in common
 """

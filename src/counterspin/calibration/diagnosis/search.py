@@ -346,7 +346,8 @@ def _alternative_hypotheses(
     default_trends = {view.name: campaign.typical_of("K_F.trend", view.name) for view in views}
     yield from mistakes.record_mistakes(fit, default_trends, has_recorded_angle=has_angle)
     yield from mistakes.coriolis_mistakes(fit, uses_own_velocity=campaign.own_velocity)
-    yield from () if campaign.readings else mistakes.hemisphere_mistakes(fit)
+    if not campaign.readings:
+        yield from mistakes.hemisphere_mistakes(fit)
     terms = {
         unknown: campaign.typical_of(unknown.symbol, unknown.owner)
         for view in views

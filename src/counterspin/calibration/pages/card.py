@@ -34,6 +34,9 @@ STATE_NAMES: Final[dict[State, str]] = {
     "contradicted": "Contradicted",
 }
 
+#: Text in place of an interval.
+NO_INTERVAL: Final = "no 95 % interval: less than one degree of freedom remains"
+
 #: Positive and negative directions of the east-north-up axes.
 _DIRECTIONS: Final = (("east", "west"), ("north", "south"), ("up", "down"))
 
@@ -106,7 +109,7 @@ def _interval_remarks(coefficient: Coefficient, state: State) -> Iterator[str]:
     if unit != coefficient.unit:
         yield f"= {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
     if coefficient.dof is not None and coefficient.dof < MIN_INTERVAL_DOF:
-        yield "no 95 % interval: less than one degree of freedom remains"
+        yield NO_INTERVAL
         return
     expanded_u = expanded_uncertainty(u, coefficient.dof)
     yield f"95 % interval: {format_interval(value, u, expanded_u, unit)}"

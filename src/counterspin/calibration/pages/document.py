@@ -17,7 +17,7 @@ from counterspin.calibration.pages.accelerometer import (
     to_field_units,
 )
 from counterspin.calibration.pages.budget import budget_blocks, interval_blocks
-from counterspin.calibration.pages.card import accelerometer_card
+from counterspin.calibration.pages.card import NO_INTERVAL, accelerometer_card
 from counterspin.calibration.pages.methods import model_blocks, origin_blocks
 from counterspin.calibration.pages.pictures import (
     budget_bars,
@@ -183,7 +183,7 @@ def _answer_paragraph(
     if state == "contradicted":
         return Paragraph(text)
     if coefficient.dof is not None and coefficient.dof < MIN_INTERVAL_DOF:
-        text += "   (no 95 % interval: less than one degree of freedom remains)"
+        text += f"   ({NO_INTERVAL})"
     elif u > 0.0:
         expanded_u = expanded_uncertainty(u, coefficient.dof)
         interval_text = format_interval(value, u, expanded_u, unit if in_g_units else "")

@@ -155,7 +155,7 @@ def envelope(time: Array, values: Array, n_segments: int) -> tuple[Array, Array,
 
 
 def fold_over_revolution(angle: Array, values: Array, n_bins: int) -> tuple[Array, Array, Array]:
-    """Return smallest, mean and largest values in equal bins of a revolution, shape (bin_count,).
+    """Return smallest, mean and largest values in equal bins of a revolution, shape (n_bins,).
 
     angle: Spindle angle, rad, not reduced to one revolution, shape (n,).
     values: Shape (n,).

@@ -214,10 +214,9 @@ def hemisphere_mistakes(fit: JointFit) -> Iterator[Alternative]:
     """Yield the mistake that the latitude has the wrong sign, if it affects the records."""
     columns = {}
     for i, block in enumerate(fit.design_blocks):
-        trajectory = block.series.trajectory
+        series, trajectory = block.series, block.series.trajectory
         site = replace(trajectory.site, latitude=-trajectory.site.latitude)
-        other_reference = block.series.reference(replace(trajectory, site=site))
-        columns[i] = other_reference - block.series.reference()
+        columns[i] = series.reference(replace(trajectory, site=site)) - series.reference()
     if any(column.any() for column in columns.values()):
         yield Alternative(HEMISPHERE, "", HEMISPHERE, columns, credible_range=_HEMISPHERE_RANGE)
 

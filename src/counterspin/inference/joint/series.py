@@ -517,12 +517,8 @@ def evaluate_with_input(
         columns = series.columns(symbols, scale_factor, delayed_trajectory)
         return series.reference(delay=-step), columns, step
     if name == CLOCK:
-        rescaled_series = series.rescale_clock(_RELATIVE_STEP)
-        return (
-            rescaled_series.reference(),
-            rescaled_series.columns(symbols, scale_factor),
-            _RELATIVE_STEP,
-        )
+        series = series.rescale_clock(_RELATIVE_STEP)
+        return series.reference(), series.columns(symbols, scale_factor), _RELATIVE_STEP
     if name in RESPONSE_INPUTS:
         response = series.mounting.response
         assert response is not None

@@ -5,12 +5,12 @@ import math
 import pytest
 import results as by_hand
 
-from counterspin.calibration.checks.comparability import (
+from counterspin.calibration.result_parts import NominalOutput
+from counterspin.comparability import (
     describe_output_conversion,
     g_units_ratio,
     output_conversion,
 )
-from counterspin.calibration.result_parts import NominalOutput
 
 #: True output in mA: zero + sum of C_n f^n, f in m/s^2.
 ZERO = 4.02
