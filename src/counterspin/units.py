@@ -188,11 +188,12 @@ def unit_factor(unit: str, target_unit: str, *, gravity: float | None = None) ->
     return factor
 
 
+@lru_cache(maxsize=256)
 def is_convertible(unit: str, target_unit: str) -> bool:
     """Return whether a unit is convertible to another one; an empty text is not."""
     try:
-        return bool(unit) and unit_factor(unit, target_unit, gravity=STANDARD_GRAVITY) != 0.0
-    except ValueError:
+        return bool(unit) and unit_factor(unit, target_unit, gravity=STANDARD_GRAVITY) > 0.0
+    except (KeyError, ValueError):  # KeyError: unknown target
         return False
 
 

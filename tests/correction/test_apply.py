@@ -274,7 +274,7 @@ def test_unit_in_column_name_must_agree(folder, capsys):
     assert run(*words, "--input=f (m/s^2)") == 1
     error = " ".join(capsys.readouterr().err.split())
     assert "column 'f (m/s^2)' is in 'm/s^2' according to the file, but in 'g'" in error
-    # Beside outputs, cross-axis forces are in g.
+    # With outputs, cross-axis forces are in g.
     options = [ApplyOptions(unit=unit, pendulous="P") for unit in ("mA", "mg")]
     assert _stated_units(["A", "P"], options[0]) == {"A": "mA", "P": "g"}
     assert _stated_units(["A", "P"], options[1]) == {"A": "mg", "P": "mg"}

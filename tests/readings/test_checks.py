@@ -241,6 +241,7 @@ def test_readings_without_redundancy_blame_no_term(tmp_path):
         values = simulate_readings(make_tumble(4), rng, SIGMA, truth=LEVEL)
         result = calibrate_readings(tmp_path, evenly_spaced_angles(4), values, assume=[])
         assert [f.code for f in result.findings] == ["unjudged-readings"]
+        assert "no degrees of freedom remain, so" in result.findings[0].text
 
 
 def test_warm_up_is_named(tmp_path):

@@ -415,6 +415,16 @@ SLIPS = {
         SIMPLE,
         'readings."r.csv line 4".reading: has no value yet; enter the reading',
     ),
+    "two readings without a value": (
+        "angle,mA\n0,1.25\n30,\n60,\n",
+        SIMPLE,
+        "has no value yet, nor does another reading; enter the reading",
+    ),
+    "several readings without a value": (
+        "angle,mA\n0,\n30,\n60,\n",
+        SIMPLE,
+        "has no value yet, nor do 2 others; enter the reading",
+    ),
     "no position": (
         "angle,mA\n0,1.25\n,0.5\n",
         SIMPLE,

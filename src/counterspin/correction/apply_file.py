@@ -27,13 +27,10 @@ from counterspin.output import (
 from counterspin.physics.correction import NotInvertibleError
 from counterspin.records.formats import locate, read_numbers, read_table
 from counterspin.records.unit_notation import _CELSIUS_UNITS, bracketed_unit
-from counterspin.units import ZERO_CELSIUS, is_same_unit, unit_factor
+from counterspin.units import ZERO_CELSIUS, is_convertible, is_same_unit, unit_factor
 
 #: Option -> example of a constant.
 _CONSTANT_EXAMPLES: Final = {"pendulous": "-1 g", "output_axis": "-1 g", "temperature": "23 degC"}
-
-#: Gravity for deciding whether a unit is one of specific force, m/s^2.
-_ANY_GRAVITY: Final = 9.8
 
 #: Suffix of the output -> delimiter of its cells; None for Parquet.
 _SEPARATORS: Final[Mapping[str, str | None]] = {
@@ -138,22 +135,16 @@ def apply_file(
     check_writable(output, lambda: _FILE_TYPE, overwrite=overwrite)
     options = options or ApplyOptions()
     others: dict[str, Any] = dict(options.others)
-    accelerometer = accelerometer or _only_accelerometer(result, others)
+    if accelerometer is None and not others and len(result.accelerometers) == 1:
+        (accelerometer,) = result.accelerometers
     corrects_all = accelerometer is None
     if accelerometer is None:
-        if not others and result.triad is not None:
-            others = {name: name for name in result.triad.accelerometers}
-        accelerometer = next(iter(others), None)
-        if accelerometer is None or column is not None:
-            problem = (
-                "select the accelerometer to be corrected with `accelerometer`; the result has "
-                f"{', '.join(result.accelerometers)}"
-            )
-            raise UsageError("apply", [problem])
+        accelerometer, others = _select_all(result, others, column)
         column = others.pop(accelerometer)
     for name in (accelerometer, *others):
         make_instrument(result, name)  # refuse a wrong name before reading the file
-    frame = (table := read_table(source, options.dialect)).frame
+    table = read_table(source, options.dialect)
+    frame = table.frame
     inputs: dict[str, Any] = {
         name: text
         for name in ("pendulous", "output_axis", "temperature")
@@ -218,31 +209,37 @@ def apply_file(
     return summary
 
 
-def _only_accelerometer(result: Result, others: Mapping[str, Any]) -> str | None:
-    """Return the only accelerometer of a result; None if there are several or others are named."""
-    names = list(result.accelerometers)
-    return names[0] if len(names) == 1 and not others else None
+def _select_all(
+    result: Result, others: dict[str, Any], column: str | None
+) -> tuple[str, dict[str, Any]]:
+    """Return the first of all accelerometers to be corrected, and the columns of all."""
+    if not others and result.triad is not None:
+        others = {name: name for name in result.triad.accelerometers}
+    if not others or column is not None:
+        problem = (
+            "select the accelerometer to be corrected with `accelerometer`; the result has "
+            f"{', '.join(result.accelerometers)}"
+        )
+        raise UsageError("apply", [problem])
+    return next(iter(others)), others
 
 
 def _stated_units(names: list[str], options: ApplyOptions) -> dict[str, str]:
-    """Return the unit of each column; beside outputs such as mA, cross-axis forces are in g."""
-    unit = cross_unit = options.unit
-    try:
-        unit_factor(unit, "g", gravity=_ANY_GRAVITY)
-    except ValueError:
-        cross_unit = "g"
+    """Return the unit of each column; with outputs such as mA, cross-axis forces are in g."""
+    unit = options.unit
+    cross_unit = unit if is_convertible(unit, "g") else "g"
     cross_columns = [options.pendulous, options.output_axis]
     return {name: cross_unit if name in cross_columns else unit for name in names}
 
 
 def _check_units(source: Path, units: Mapping[str, str], stated_units: Mapping[str, str]) -> None:
-    """Raise RecordError if a unit in the file differs from the stated unit of a force."""
+    """Raise RecordError if a unit in the file differs from the stated one."""
     for name, stated_unit in stated_units.items():
         if units[name] and not is_same_unit(units[name], stated_unit):
             raise RecordError(
                 f"{source}: column '{name}' is in '{units[name]}' according to the file, but in "
                 f"'{stated_unit}' according to `unit`; all forces must be in the same unit, which "
-                "is stated with `unit`. Beside outputs such as mA, cross-axis forces are in g.",
+                "is stated with `unit`. With outputs such as mA, cross-axis forces are in g.",
                 code="unit-mismatch",
             )
 
@@ -254,8 +251,8 @@ def _convert_to_celsius(source: Path, column: str, values: Array, unit: str) -> 
     if unit in ("", *_CELSIUS_UNITS):
         return values
     raise RecordError(
-        f"{source}: column '{column}' is in '{unit}' according to the units row of the file; a "
-        "temperature must be in degC or K.",
+        f"{source}: column '{column}' is in '{unit}' according to the file; a temperature "
+        "must be in degC or K.",
         code="unit-mismatch",
     )
 

@@ -6,7 +6,7 @@ import datetime
 import math
 import re
 from collections.abc import Mapping
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, Final, Protocol
 
 from counterspin.campaign.columns import Sense
@@ -15,7 +15,7 @@ from counterspin.campaign.quantity import parse_quantity
 from counterspin.errors import OutOfRangeError
 from counterspin.frozen import frozen
 from counterspin.records.unit_notation import bracketed_unit, unit_in_name
-from counterspin.units import is_same_unit, unit_factor
+from counterspin.units import is_convertible, unit_factor
 
 #: Placeholder of a reading that has not been taken or simulated yet.
 BLANK: Final = "?"
@@ -129,18 +129,17 @@ class RateColumn:
 
     def _exact(self, value: float) -> tuple[float, str, float]:
         """Return a rate, its unit, and the exponent of the number in the rate."""
-        unit = _with_revolutions(self.settings.rate_unit)
-        if _is_convertible(unit, "s"):
+        unit = with_revolutions(self.settings.rate_unit)
+        if is_convertible(unit, "s"):
             return 1.0 / (value * unit_factor(unit, "s")), "rev/s", -1.0
-        gravity = self._gravity
-        if not _is_convertible(unit, "m/s^2", gravity=gravity):
+        if not is_convertible(unit, "m/s^2"):
             unit_factor(unit, "rad/s")
             return value, unit, 1.0
         if value < 0.0:
             raise OutOfRangeError(
                 "a centripetal acceleration must be positive; the mounting determines the sign"
             )
-        acceleration = value * unit_factor(unit, "m/s^2", gravity=gravity)
+        acceleration = value * unit_factor(unit, "m/s^2", gravity=self._gravity)
         radius = self._stated("centrifuge", "radius", "m")
         return math.sqrt(acceleration / radius), "rad/s", 0.5
 
@@ -156,28 +155,17 @@ class RateColumn:
             return 1.0
 
 
-@lru_cache(maxsize=64)
-def _is_convertible(unit: str, target_unit: str, *, gravity: float | None = None) -> bool:
-    try:
-        return unit_factor(unit, target_unit, gravity=gravity) > 0.0
-    except (KeyError, ValueError):
-        return False
-
-
-def is_equal_unit(unit: str, other_unit: str) -> bool:
-    """Return whether two units are equal; 1/min is rpm."""
-    return is_same_unit(_with_revolutions(unit), _with_revolutions(other_unit))
-
-
 def unit_of_name(column: str, unit: str) -> str:
     """Return the unit in the name of a column whose unit is stated; empty without one.
 
     Without brackets, the end of a name is a unit only if it measures the same quantity.
     """
+    if unit_in_brackets := bracketed_unit(column):
+        return unit_in_brackets
     name_unit = unit_in_name(column)
-    is_known = _is_convertible(_with_revolutions(name_unit), _with_revolutions(unit), gravity=9.8)
-    return bracketed_unit(column) or (name_unit if is_known else "")
+    return name_unit if is_convertible(with_revolutions(name_unit), with_revolutions(unit)) else ""
 
 
-def _with_revolutions(unit: str) -> str:
+def with_revolutions(unit: str) -> str:
+    """Return a unit with explicit revolutions: rpm for 1/min; other units are unchanged."""
     return _REVOLUTION_UNITS.get(unit, unit)

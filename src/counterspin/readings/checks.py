@@ -50,9 +50,10 @@ from counterspin.reports.numbers import format_number
 #: Largest number of outlying positions that are reported individually, and this as a fraction of
 #: all readings. More outliers indicate an error of the model.
 _MAX_SINGLE_POSITIONS: Final = 3
-#: Degrees of freedom below which residuals have none.
-_MIN_STATED_DOF: Final = 0.05
 _MAX_SINGLE_SHARE: Final = 0.25
+
+#: Degrees of freedom below which messages state that none remain.
+_MIN_STATED_DOF: Final = 0.05
 
 #: Kind of hysteresis -> its cause in a message.
 _HYSTERESIS_CAUSES: Final = {

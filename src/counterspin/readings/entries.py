@@ -178,8 +178,8 @@ def collect_readings(
         n_others = len(blank_paths) - 1
         others_text = ""
         if n_others:
-            others = "another reading has" if n_others == 1 else f"{n_others} others have"
-            others_text = f", and {others} neither"
+            others = "does another reading" if n_others == 1 else f"do {n_others} others"
+            others_text = f", nor {others}"
         message = f"has no value yet{others_text}; enter the reading, or add [truth] to simulate it"
         problems.add(blank_paths[0], message, "missing-value")
     return tuple(readings)

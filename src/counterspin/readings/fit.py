@@ -39,9 +39,8 @@ _MIN_NOISE_TO_HEAD: Final = 0.3
 #: Factor of a prior standard uncertainty that constrains a term to its prior.
 _CONSTRAINT_FACTOR: Final = 1e-6
 
-#: Number of iterations with full steps, and number of those with full or half steps.
-_MAX_UNDAMPED_ITERATIONS: Final = 15
-_MAX_HALVED_ITERATIONS: Final = 60
+#: Numbers of iterations after which the step is halved, and halved again.
+_HALVING_ITERATIONS: Final = (15, 60)
 
 #: Largest deviation of the linearisation point from a prior, in largest credible sizes.
 _MAX_DEVIATION_IN_LIMITS: Final = 10.0
@@ -256,8 +255,7 @@ def _solve(
         variance = sd**2
         relative_moves = np.abs(new_point - point) / np.where(sd > 0, sd, 1.0)
         # Positioning errors may oscillate, so the step is halved, and later halved again.
-        is_late = iteration >= _MAX_UNDAMPED_ITERATIONS, iteration >= _MAX_HALVED_ITERATIONS
-        damping = 0.5 ** sum(is_late)
+        damping = 0.5 ** sum(iteration >= limit for limit in _HALVING_ITERATIONS)
         point = new_point if damping == 1.0 else point + damping * (new_point - point)
         if relative_moves.max(initial=0.0) < _STEP_TOLERANCE:
             break

@@ -87,7 +87,7 @@ class FittedReadings:
     chi2: float = math.nan  #: Chi-square of the residuals, with noise and considered terms.
     single_readings: tuple[Position, ...] = ()  #: Each reading by itself.
     positions: tuple[Position, ...] = ()  #: Each position with several readings.
-    #: Readings without which no other one is an outlier; empty: no few readings.
+    #: Readings without which no other one is an outlier; empty if there are none or many.
     gross_errors: tuple[Position, ...] = ()
 
     def index_in(self, fit: JointFit) -> int | None:
@@ -257,22 +257,21 @@ def _gross_errors(
     rows = linear_group.design / linear_group.sigma[:, None]
     residual = linear_group.residuals_at(solution.estimate) / linear_group.sigma
     covariance = linear_group.covariance(solution)
-    variance = 1.0 - np.sum((rows @ covariance) * rows, axis=1)
+    variance = 1.0 - linear_group.leverages(solution)
+    limit = significance(positions)
     deleted_positions: list[Position] = []
-    first_size = 0.0
     for _ in range(_MAX_GROSS_ERRORS + 1):
         z = residual / np.sqrt(np.where(variance > _MIN_RELATIVE_VARIANCE, variance, np.inf))
         index = int(np.argmax(np.abs(z)))
         error = replace(positions[index], standardized=float(z[index]), studentized=float(z[index]))
-        size = abs(error.studentized)
-        if error.p >= significance(positions) or size < _MIN_RELATIVE_ERROR * first_size:
+        largest_z = (deleted_positions or [error])[0].studentized
+        if error.p >= limit or abs(z[index]) < _MIN_RELATIVE_ERROR * abs(largest_z):
             return tuple(deleted_positions)
-        first_size = first_size or size
         deleted_positions.append(error)
         # The fit without a reading is a fit with a parameter for its error.
-        column = -rows @ (covariance @ rows[index])
-        column[index] += 1.0
         step = covariance @ rows[index]
+        column = -rows @ step
+        column[index] += 1.0
         residual = residual - column * (residual[index] / variance[index])
         covariance = covariance + np.outer(step, step) / variance[index]
         variance = variance - column**2 / variance[index]

@@ -27,18 +27,18 @@ from counterspin.readings.cells import (
     RateColumn,
     cell_text,
     is_empty,
-    is_equal_unit,
     mounting_name,
     parse_number,
     replace_decimal_commas,
     to_seconds,
     unit_of_name,
+    with_revolutions,
 )
 from counterspin.readings.entries import MAX_READINGS
 from counterspin.readings.section import COLUMNS, TABLE_ENDINGS, MountingSettings, ReadingsSettings
 from counterspin.records.dialect import Dialect
 from counterspin.records.memory import iter_columns
-from counterspin.units import unit_factor
+from counterspin.units import is_same_unit, unit_factor
 
 if TYPE_CHECKING:
     from counterspin.records.formats import StoredTable
@@ -401,7 +401,9 @@ class ReadingsTable:
         for column, unit in described_units.items():
             row_unit = units.get(column or "")
             table_unit = row_unit or unit_of_name(column or "", unit)
-            if table_unit and not is_equal_unit(table_unit, unit):
+            if table_unit and not is_same_unit(
+                with_revolutions(table_unit), with_revolutions(unit)
+            ):
                 self.problems.add(
                     ("readings", "columns"),
                     f'{self.settings.file}: column "{column}" is in {table_unit} according to '

@@ -446,7 +446,7 @@ def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> 
 
 def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unknowns) -> str:
     """Return the error message of poses that do not determine their noise."""
-    is_free = [math.isinf(u.prior[1]) or u.uses_fallback_prior for u in model.unknowns]
+    n_free = sum(math.isinf(u.prior[1]) or u.uses_fallback_prior for u in model.unknowns)
     requested_names = [unknown.name for unknown in model.unknowns if unknown.is_of_interest]
     determined = assess(solution, requested_names).determined
     undetermined_names = [name for name in requested_names if not determined[name]]
@@ -464,7 +464,7 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
     )
     return (
         f"{poses.accelerometer}: {poses.size} pose{'s' * (poses.size > 1)} at unknown attitudes "
-        f"without a stated uncertainty cannot determine both {sum(is_free)} unknowns without "
+        f"without a stated uncertainty cannot determine both {n_free} unknowns without "
         f"a prior and the noise.{undetermined_text} Measure more poses, spread over all "
         f"directions, or state the uncertainty.{suggestion}"
     )
@@ -477,9 +477,7 @@ def _divergence_error(poses: TriadPoses, n_iterations: int) -> str:
     mean_direction = (poses.value / magnitudes[:, None]).mean(axis=0)
     cosines = poses.value @ mean_direction / magnitudes / np.linalg.norm(mean_direction)
     max_angle = math.degrees(math.acos(np.clip(cosines.min(), -1.0, 1.0)))
-    if min(abs(lowest - 1.0), abs(highest - 1.0)) > _MAX_MAGNITUDE_ERROR and (
-        lowest > 1.0 or highest < 1.0
-    ):
+    if lowest > 1.0 + _MAX_MAGNITUDE_ERROR or highest < 1.0 - _MAX_MAGNITUDE_ERROR:
         reason = (
             f"The outputs of most poses have a magnitude of {lowest:.2g} to {highest:.2g} g "
             "instead of 1 g; check the unit and the sensitivity."
