@@ -29,6 +29,7 @@ from stored_table import (
     describe_runs,
     describe_site,
     format_table,
+    run_study,
 )
 
 #: Trials of a case: default, for slow cases, and for estimated displacement noise or a hidden
@@ -372,4 +373,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_study(__doc__.splitlines()[0], main)

@@ -25,6 +25,7 @@ from stored_table import (
     describe_runs,
     describe_site,
     format_table,
+    run_study,
 )
 
 #: Rates of a campaign with eight runs, half of them in the opposite sense, rev/s.
@@ -202,4 +203,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_study(__doc__.splitlines()[0], main)

@@ -18,7 +18,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.result import Result
 from counterspin.errors import RecordError
 from counterspin.simulation.simulate import simulate
-from stored_table import DOCS, StoredTable, format_table
+from stored_table import DOCS, StoredTable, format_table, run_study
 from violations import Size, describe_campaign, replace_texts
 
 #: Type of measurement -> column.
@@ -274,5 +274,10 @@ def render(table: Sequence[Row]) -> str:
 TABLE: Final = StoredTable("incredible", DOCS / "violations.md", Row, render)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Recompute the table."""
     TABLE.store(list(check_mistakes()))
+
+
+if __name__ == "__main__":
+    run_study(__doc__.splitlines()[0], main)

@@ -1,9 +1,11 @@
 """Tables of simulation results: stored as JSON, shown on a page, checked by tests.
 
 - `StoredTable`: a table, the file that stores its rows and the page that shows it
+- `run_study`: main program of the module that computes a table
 - `describe_site`, `describe_runs`, `describe_channel`: common TOML sections of campaigns
 """
 
+import argparse
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -65,6 +67,12 @@ class StoredTable(Generic[Row]):
         self.file.write_text(f"{text}\n", encoding="utf-8")
         page = self.page.read_text(encoding="utf-8")
         self.page.write_text(self.insert(rows, page), encoding="utf-8")
+
+
+def run_study(summary: str, compute: Callable[[], None]) -> None:
+    """Parse the command line, whose only option is --help, and then compute a table."""
+    argparse.ArgumentParser(description=summary).parse_args()
+    compute()
 
 
 def format_table(alignments: Mapping[str, str], rows: Sequence[Sequence[str]]) -> str:

@@ -14,7 +14,7 @@ from counterspin.calibration.result import Result
 from counterspin.physics.terms import READING_TERMS, TERMS
 from counterspin.reports.numbers import find_display_unit, format_number
 from counterspin.simulation.simulate import simulate
-from stored_table import DOCS, StoredTable
+from stored_table import DOCS, StoredTable, run_study
 from violations import Row, Violation, compare_results, format_rows, replace_texts
 
 #: Tumble test -> positions per turn, and mounting angle of each turn, deg.
@@ -138,4 +138,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_study(__doc__.splitlines()[0], main)

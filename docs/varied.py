@@ -19,7 +19,7 @@ from counterspin.calibration.model import make_unknowns
 from counterspin.campaign.description import Campaign, read_campaign
 from counterspin.physics.terms import ACCELEROMETER_TERMS, term
 from counterspin.simulation.simulate import simulate
-from stored_table import DOCS, UNITS, StoredTable, describe_site, format_table
+from stored_table import DOCS, UNITS, StoredTable, describe_site, format_table, run_study
 
 #: Number of campaigns of each kind.
 TRIALS: Final = 300
@@ -315,5 +315,10 @@ KINDS: Final = {
 }
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Recompute the table."""
     TABLE.store([run_trials(label, kind, TRIALS) for label, kind in KINDS.items()])
+
+
+if __name__ == "__main__":
+    run_study(__doc__.splitlines()[0], main)

@@ -26,6 +26,7 @@ from stored_table import (
     describe_runs,
     describe_site,
     format_table,
+    run_study,
 )
 
 #: A larger shift without a finding is an error; in standard uncertainties.
@@ -77,19 +78,17 @@ ripple = [{{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }}]
 #: Fixes all unstated terms at nominal.
 FIX_UNSTATED: Final = {"[noise]\n": '[model]\nassume = "all"\n\n[noise]\n'}
 
-#: Adds rising temperatures to the simulated runs.
-WARMING_RUNS: Final = {
-    f'record = "run{run}.csv"': f'record = "run{run}.csv"\ntemperature = "{kelvin} degC"'
-    for run, kelvin in ((1, 22.5), (2, 23.0), (3, 23.5))
-}
+
+def _add_temperatures(*temperatures: float) -> dict[str, str]:
+    """Return the changes that add temperatures to the simulated runs, degC."""
+    return {
+        f'record = "run{run}.csv"': f'record = "run{run}.csv"\ntemperature = "{celsius} degC"'
+        for run, celsius in enumerate(temperatures, 1)
+    }
 
 
-#: Adds a temperature cycle to the simulated runs.
-TEMPERATURE_CYCLE: Final = {
-    f'record = "run{run}.csv"': f'record = "run{run}.csv"\ntemperature = "{celsius} degC"'
-    for run, celsius in ((1, 20.0), (2, 23.0), (3, 20.0))
-}
-
+WARMING_RUNS: Final = _add_temperatures(22.5, 23.0, 23.5)
+TEMPERATURE_CYCLE: Final = _add_temperatures(20.0, 23.0, 20.0)
 
 FULL_SIZE: Final = Size(50.0, 100)
 
@@ -463,4 +462,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_study(__doc__.splitlines()[0], main)

@@ -14,8 +14,11 @@ Each page is read from the top in an empty folder with records of the paper's pl
 """
 
 import re
+import runpy
 import shlex
 import shutil
+import sys
+import tempfile
 import tomllib
 from functools import partial
 from importlib.resources import files
@@ -235,6 +238,18 @@ def test_attributes_of_result_in_text_exist():
     text = "\n".join(page.read_text(encoding="utf-8") for page in [README, *DOCS])
     assert unknown_result_attributes(text) == []
     assert unknown_result_attributes("`result.table()`, `result.frame()`") == ["frame"]
+
+
+@pytest.mark.parametrize(
+    "study", ["coverage", "false_alarms", "incredible", "tumbled", "varied", "violations"]
+)
+def test_help_of_study_starts_no_computation(study, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [study, "--help"])
+    monkeypatch.setattr(tempfile, "TemporaryDirectory", None)  # every computation needs a folder
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(ROOT / "docs" / f"{study}.py"), run_name="__main__")
+    assert ended.value.code == 0
+    assert f"usage: {study}" in capsys.readouterr().out
 
 
 def test_standards_page_names_existing_commands():

@@ -66,6 +66,14 @@ def describe_read_error(error: OSError) -> str:
     return f"cannot be read ({error.strerror})"
 
 
+def describe_system_error(error: OSError) -> str:
+    """Return the message for an error of the operating system, with the name of the file."""
+    location = f"{error.filename}: " if error.filename else ""
+    if location and isinstance(error, FileNotFoundError):
+        return f"{location}{describe_read_error(error)}"
+    return f"{location}the operating system reports: {error.strerror or error}"
+
+
 def read_error_code(error: OSError) -> str:
     """Return the code of the error for a file that cannot be read."""
     return "file-not-found" if isinstance(error, FileNotFoundError) else "file-not-readable"

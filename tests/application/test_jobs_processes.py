@@ -1,6 +1,8 @@
 """Worker processes report their progress and can be terminated."""
 
+import os
 import time
+from errno import EIO, ENOENT
 
 import pytest
 
@@ -32,9 +34,9 @@ def fail_with(connection, kind):
     report_progress(connection, work)
 
 
-def fail_to_write(connection):
+def fail_with_errno(connection, number):
     def work(_):
-        raise OSError(30, "Read-only file system", "x/y")
+        raise OSError(number, os.strerror(number), "x/y")
 
     report_progress(connection, work)
 
@@ -54,7 +56,8 @@ def test_worker_reports_progress_and_result():
     [
         (fail_with, (CounterspinError,), "in words"),
         (fail_with, (ValueError,), "internal error (ValueError: in words)"),
-        (fail_to_write, (), "x/y: the operating system reports: Read-only file system"),
+        (fail_with_errno, (EIO,), f"x/y: the operating system reports: {os.strerror(EIO)}"),
+        (fail_with_errno, (ENOENT,), "x/y: file not found"),
         (exit, (), "the process ended unexpectedly, possibly because it ran out of memory"),
     ],
 )

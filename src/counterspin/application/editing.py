@@ -135,7 +135,7 @@ def _split_problems(
 ) -> tuple[tuple[str, str], ...]:
     """Split problems into key and message; the key is empty for the whole document.
 
-    app: Its folder, to which paths in the messages are relative; None: no paths.
+    app: Application whose folder paths in the messages are relative to; None: no paths.
     """
     keyed_problems = []
     for line in problems:

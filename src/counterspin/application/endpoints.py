@@ -32,7 +32,7 @@ from counterspin.application.served_folder import (
     NotFoundError,
     PathForbiddenError,
 )
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, CounterspinError, describe_system_error
 from counterspin.frozen import frozen
 
 T = TypeVar("T")
@@ -234,8 +234,7 @@ def _unexpected_error_response(app: AppState, error: Exception) -> ApiResponse:
             text = "The body of the request is not JSON."
             return ApiResponse(400, {"error": text, "code": "invalid-request"})
         case OSError():
-            name = f"{app.folder.relative_paths(str(error.filename))}: " if error.filename else ""
-            text = f"{name}The operating system reports: {error.strerror or error}"
+            text = app.folder.relative_paths(describe_system_error(error))
             return ApiResponse(422, {"error": text, "code": "system-error"})
     text = f"internal error ({type(error).__name__}: {error})"
     return ApiResponse(500, {"error": text, "code": "internal-error"})

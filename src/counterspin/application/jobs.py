@@ -25,7 +25,7 @@ from counterspin.application.answers import (
 )
 from counterspin.application.served_folder import RequestError
 from counterspin.calibration.options import Method
-from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.errors import CounterspinError, CounterspinWarning, describe_system_error
 from counterspin.reports.numbers import find_display_unit
 from counterspin.reports.typography import typeset, typeset_block
 from counterspin.workers import SPAWN_CONTEXT
@@ -103,9 +103,7 @@ def report_progress(connection: Connection, function: Callable[[ProgressCallback
         except CounterspinError as error:
             connection.send(("failed", str(error)))
         except OSError as error:
-            name = f"{error.filename}: " if error.filename else ""
-            reason = f"{name}the operating system reports: {error.strerror or error}"
-            connection.send(("failed", reason))
+            connection.send(("failed", describe_system_error(error)))
         except Exception as error:
             connection.send(("failed", f"internal error ({type(error).__name__}: {error})"))
 

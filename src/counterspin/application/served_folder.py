@@ -108,7 +108,7 @@ class ServedFolder:
         ):
             raise PathForbiddenError(
                 f"{name!r} is not a valid file name in this folder: use a name inside this folder, "
-                "without backslashes, colons and line breaks; no part may begin with a dot, or end "
+                "without backslashes, colons or line breaks; no part may begin with a dot, or end "
                 "with a dot or a space"
             )
         lengths = [len(part.encode("utf-8", "surrogatepass")) for part in parts]

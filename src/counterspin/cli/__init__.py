@@ -33,7 +33,7 @@ from counterspin.errors import (
     CounterspinError,
     CounterspinWarning,
     UsageError,
-    describe_read_error,
+    describe_system_error,
     require_thread_count,
 )
 
@@ -95,10 +95,7 @@ def _describe_unexpected_error(error: Exception) -> str:
         return "the output cannot be written: no space left on device"
     if isinstance(error, OSError) and error.strerror:
         # Not a defect of counterspin: the file name is too long, or the folder was removed.
-        location = f"{error.filename}: " if error.filename else ""
-        if location and isinstance(error, FileNotFoundError):
-            return f"{location}{describe_read_error(error)}"
-        return str(CounterspinError(f"{location}the operating system reports: {error.strerror}"))
+        return str(CounterspinError(describe_system_error(error)))
     if isinstance(error, ImportError):
         return (
             f"part of the installation cannot be loaded ({CounterspinError(str(error))}); "

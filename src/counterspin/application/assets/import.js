@@ -150,8 +150,10 @@ async function upload(files, requestedFolder, importFolder, showProgress, onUplo
   const takenNames = new Set(campaigns.map((/** @type {{name: string}} */ campaign) => campaign.name));
   const date = new Date().toISOString().slice(0, 10);
   const namedFiles = [...filesByName(files)];
+  // Twice: before and after its files are moved to the trash.
+  const importFolders = importFolder ? [importFolder, importFolder] : [];
   for (let count = 1; ; count++) {
-    const folder = requestedFolder || (count <= 2 && importFolder) || folderName(files.map(({ name }) => name), date, takenNames);
+    const folder = requestedFolder || importFolders.shift() || folderName(files.map(({ name }) => name), date, takenNames);
     try {
       const names = [];
       for (const [index, [fileName, file]] of namedFiles.entries()) {
@@ -164,7 +166,7 @@ async function upload(files, requestedFolder, importFolder, showProgress, onUplo
     } catch (error) {
       const isConflict = error instanceof RequestError && error.status === 422 && error.message.includes("exists");
       if (requestedFolder || !isConflict || count === MAX_FOLDERS) throw error;
-      if (folder === importFolder && count === 1) await discardImport();
+      if (importFolders.length) await discardImport();
       else takenNames.add(folder);
     }
   }
