@@ -575,6 +575,11 @@ def calibrate_few_force_rows(folder, *changes, gain=1.0):
     return calibrate(write_description(folder / "made", replace_parts(stated, *changes)).parent)
 
 
+def find_k_iii_shift(result):
+    k_iii = result.accelerometers["Qx"].coefficients["K_III"]
+    return (k_iii.value - 3e-6) / k_iii.u  # quoted in the changelog
+
+
 def test_gain_of_one_run_does_not_pass_as_ripple(tmp_path):
     """K_III, K_5 and the ripples absorb it, the ripples beyond the noise of the angle."""
     (tmp_path / "right").mkdir()
@@ -583,6 +588,7 @@ def test_gain_of_one_run_does_not_pass_as_ripple(tmp_path):
     wrong = calibrate_few_force_rows(tmp_path / "wrong", gain=1.0 + 5e-5)
     assert wrong.state == "contradicted"
     assert "scale of the record of Qx in fast" in wrong.findings[0].text
+    assert find_k_iii_shift(wrong) == pytest.approx(17.0, abs=0.5)
 
 
 def test_wrong_sign_of_latitude_is_named(tmp_path):
@@ -591,3 +597,4 @@ def test_wrong_sign_of_latitude_is_named(tmp_path):
     finding = wrong.findings[0]
     assert (finding.code, finding.subject) == ("wrong-input", "site.latitude")
     assert "with a latitude of 45.75 deg instead of the stated -45.75 deg" in finding.text
+    assert find_k_iii_shift(wrong) == pytest.approx(11.0, abs=0.5)
