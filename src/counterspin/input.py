@@ -157,7 +157,7 @@ def _describe_json_error(error: json.JSONDecodeError) -> str:
         line, column = text.count("\n") + 1, len(text) - text.rfind("\n") - 1
         return f"the end of the file is missing: it ends at line {line}, column {column}"
     messages = (message for start, message in _JSON_ERRORS if error.msg.startswith(start))
-    message = next(messages, "is not JSON")
+    message = next(messages, "invalid syntax")
     return f"line {error.lineno}, column {error.colno}: {message}"
 
 

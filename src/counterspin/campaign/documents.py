@@ -257,7 +257,7 @@ _SYNTAX_ERRORS: Final = (
     (
         (r"Found invalid character '\r'",),
         "the line ends with a carriage return only",
-        "save the file with the line ends of Windows or Linux",
+        "save the file with the line endings of Windows or Linux",
     ),
 )
 

@@ -181,9 +181,9 @@ class DescriptionReader:
         described_readings = self._read_readings(revolutions, has_records=bool(resolved_runs))
         readings = sections["valid_readings"] = described_readings.readings
         priors = own_priors
-        # After a mistake that hides all readings, their terms are not unknown.
-        hides_readings = (
-            bool(problems.lines) and not readings and ("readings" in raw or not resolved_runs)
+        # After a mistake that hides all readings, their terms must not be reported as unknown.
+        is_complete = described_readings.is_complete and not (
+            problems.lines and not readings and ("readings" in raw or not resolved_runs)
         )
         if settings is not None:
             setup = MeasurementSetup(
@@ -194,7 +194,7 @@ class DescriptionReader:
                 described_readings.triad.count if described_readings.triad else 0,
                 centrifuge,
                 fixture.position,
-                described_readings.is_complete and not hides_readings,
+                is_complete,
             )
             sections["model"], priors = resolve_model(
                 settings, own_priors, setup, problems, gravity
@@ -206,7 +206,7 @@ class DescriptionReader:
             }
         simulation = self._resolve_simulation(
             resolved_runs,
-            readings if described_readings.is_complete and not hides_readings else None,
+            readings if is_complete else None,
             described_readings.truths,
         )
         specifications = self._resolve_specifications()
