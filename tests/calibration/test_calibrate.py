@@ -87,7 +87,7 @@ def test_record_shorter_than_stated_is_finding(folder):
     assert "the record lasts 80 s instead of the 160 s stated in the campaign" in finding.text
 
 
-@pytest.mark.parametrize("part", ["", 'stop = "40 s"\n'])
+@pytest.mark.parametrize("part", ["", 'stop = "60 s"\n'])
 def test_record_longer_than_stated_has_remark(folder, part):
     """The duration does not select a part of the record."""
     line = 'record = "slow.csv"\n'

@@ -113,7 +113,7 @@ def test_line_contains_value_of_key(name):
 
 def test_message_has_line_of_key_or_table(tmp_path):
     file = tmp_path / "a.toml"
-    file.write_text(TEXT, encoding="utf-8")
+    file.write_text(f"{TEXT}\n[readings]\n", encoding="utf-8")
     line_by_message = {
         "accelerometers.Qx.output.zero: must be a string": 12,
         "accelerometers.Qx.input_axis: is missing": 11,
