@@ -13,6 +13,7 @@ from raising import raises
 
 import counterspin
 from counterspin.certificates.lab import read_lab
+from counterspin.comparisons.result import Intercomparison
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.results import (
     NamedParts,
@@ -86,6 +87,11 @@ def test_invalid_file_raises(tmp_path, text, words):
         Log.read(path)
     assert str(caught.value).startswith(f"{path}")
     assert words in str(caught.value)
+
+
+def test_kind_has_indefinite_article(tmp_path):
+    with pytest.raises(RecordError, match="give the JSON file of an intercomparison"):
+        Intercomparison.read(tmp_path / "none.json")
 
 
 def test_existing_result_requires_overwrite(tmp_path):

@@ -61,6 +61,11 @@ def substitute_unencodable(text: str, encoding: str) -> str:
     )
 
 
+def with_article(noun: str) -> str:
+    """Return a noun with its indefinite article."""
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
 def install_substitution(stream: TextIO | None) -> None:
     """Make a stream substitute the characters that its encoding lacks."""
     if isinstance(stream, TextIOWrapper):

@@ -17,6 +17,7 @@ import numpy
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator
 from pydantic_core import PydanticSerializationError
 
+from counterspin.characters import with_article
 from counterspin.errors import DamagedFileError, RecordError, describe_read_error, read_error_code
 from counterspin.input import detect_file_type, parse_json, read_file, to_path
 from counterspin.loading import load_name
@@ -248,7 +249,7 @@ class ResultFile(ResultPart):
             return isinstance(document, dict) and required_keys <= set(document)
 
         file_type: FileType = load_name(f"{_OUTPUT_MODULE}:FileType")(
-            f"the file of a {cls.KIND}", recognises
+            f"the file of {with_article(cls.KIND)}", recognises
         )
         return file_type
 
@@ -271,8 +272,9 @@ class ResultFile(ResultPart):
         RecordError
             If the file cannot be read, is not such a file, or was edited or damaged.
         """
-        path = to_path(path, f"the file of a {cls.KIND}")
-        advice = f"give the JSON file of a {cls.KIND}"
+        kind_text = with_article(cls.KIND)
+        path = to_path(path, f"the file of {kind_text}")
+        advice = f"give the JSON file of {kind_text}"
         content = b""
         try:
             content = read_file(path)
@@ -302,9 +304,9 @@ class ResultFile(ResultPart):
         try:
             result = cls.model_validate(document)
         except ValidationError as error:
-            if (kind := _detect_kind(document)) not in (None, cls.KIND):
+            if (kind := _detect_kind(document)) and kind != cls.KIND:
                 raise RecordError(
-                    f"{path}: the file of a {kind}, not of a {cls.KIND}; {advice}",
+                    f"{path}: the file of {with_article(kind)}, not of {kind_text}; {advice}",
                     code="wrong-document",
                 ) from error
             first_error = error.errors()[0]

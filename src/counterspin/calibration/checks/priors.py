@@ -13,6 +13,7 @@ from counterspin.calibration.findings import CONTRADICTION_SIGMAS
 from counterspin.calibration.model import stated_inputs
 from counterspin.calibration.result_parts import Finding
 from counterspin.campaign.description import Campaign
+from counterspin.characters import with_article
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import agreement_limit, normal_equivalent
 from counterspin.inference.joint.alternatives import (
@@ -148,12 +149,11 @@ class PriorExplanation:
             else format_si(value, u, term_row.unit)
             for value, u in ((stated_value + self.value, self.u), (stated_value, 0.0))
         )
-        article = "an" if term_row.words[0] in "aeiou" else "a"
         stated_text = stated_text.split(" (exact)")[0]
         text = (
-            f"The records would fit with {article} {term_row.words}{owner_text} of {estimate_text} "
-            f"instead of the {'stated' if stated_value else 'assumed'} {stated_text}. Check the "
-            "value."
+            f"The records would fit with {with_article(term_row.words)}{owner_text} of "
+            f"{estimate_text} instead of the {'stated' if stated_value else 'assumed'} "
+            f"{stated_text}. Check the value."
         )
         name = f"{term_row.words}{owner_text}"
         return FindingText(code="wrong-input", subject=self.alternative.name, text=text, name=name)
