@@ -447,20 +447,18 @@ def overstated_noise_remarks(
         u = median(group.sigma)
         scatter_text, stated_text = (f"{format_number(1e6 * sd, 2)} ug" for sd in (ratio * u, u))
         name = TRIAD if group.readings.triad else group.readings.accelerometer
-        is_recorded = all((name, reading) in means for reading in group.readings.names)
-        origin, advice = (
-            (
-                "uncertainty computed from the records,",
+        if all((name, reading) in means for reading in group.readings.names):
+            origin = "uncertainty computed from the records,"
+            advice = (
                 "If all records settle or drift in the same way, omit that part with `start` or "
-                "`stop`.",
+                "`stop`."
             )
-            if is_recorded
-            else (
-                "stated uncertainty of",
+        else:
+            origin = "stated uncertainty of"
+            advice = (
                 "State the noise of individual readings, and state errors common to all readings "
-                "as priors.",
+                "as priors."
             )
-        )
         yield (
             f"{name}: the {group.label} scatter by {scatter_text}, {format_number(ratio, 2)} "
             f"times the {origin} {stated_text}. The reported uncertainty u is too large. {advice}"

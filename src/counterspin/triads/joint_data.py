@@ -20,7 +20,7 @@ from counterspin.readings.fitted import FittedReadings
 from counterspin.readings.reading_groups import pose_groups
 from counterspin.triads.checks import pose_findings
 from counterspin.triads.groups import group_poses
-from counterspin.triads.poses import TriadPoses
+from counterspin.triads.poses import TriadPoses, count_free
 from counterspin.triads.record_poses import LocatedPose, campaign_poses, pooled_noise
 from counterspin.triads.result import triad_result
 
@@ -82,10 +82,7 @@ def pose_advice(view: AccelerometerView) -> str:
         for name, projections in zip(group.accelerometers, group.axes, strict=True):
             axes.setdefault(name, []).append(solved_poses.direction @ projections[0])
     n_poses, n_directions = _count_directions(view)
-    n_free = sum(
-        math.isinf(unknown.prior[1]) or unknown.uses_fallback_prior
-        for unknown in view.fit.model.unknowns
-    )
+    n_free = count_free(view.fit.model)
     sentences = []
     if n_poses < n_free:
         sentences.append(f" {n_poses} poses cannot determine {n_free} unknowns without a prior.")

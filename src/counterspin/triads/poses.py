@@ -444,9 +444,13 @@ def _least_squares(columns: Array, target: Array, *, constant: bool = False) -> 
     return np.asarray(np.linalg.lstsq(design, target, rcond=None)[0], np.float64)
 
 
+def count_free(model: Unknowns) -> int:
+    """Return the number of unknowns without a stated prior."""
+    return sum(math.isinf(u.prior[1]) or u.uses_fallback_prior for u in model.unknowns)
+
+
 def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unknowns) -> str:
     """Return the error message of poses that do not determine their noise."""
-    n_free = sum(math.isinf(u.prior[1]) or u.uses_fallback_prior for u in model.unknowns)
     requested_names = [unknown.name for unknown in model.unknowns if unknown.is_of_interest]
     determined = assess(solution, requested_names).determined
     undetermined_names = [name for name in requested_names if not determined[name]]
@@ -464,7 +468,7 @@ def _insufficient_poses_error(poses: TriadPoses, solution: Solution, model: Unkn
     )
     return (
         f"{poses.accelerometer}: {poses.size} pose{'s' * (poses.size > 1)} at unknown attitudes "
-        f"without a stated uncertainty cannot determine both {n_free} unknowns without "
+        f"without a stated uncertainty cannot determine both {count_free(model)} unknowns without "
         f"a prior and the noise.{undetermined_text} Measure more poses, spread over all "
         f"directions, or state the uncertainty.{suggestion}"
     )
