@@ -1,6 +1,7 @@
 """Reading a record as a whole."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -218,3 +219,17 @@ def test_times_since_1970_have_no_rounding_error(tmp_path, start, factor):
     path = write_record(tmp_path / "run.csv", columns)
     record = read_written_record(path, time=ColumnSpec(TIME, 1.0 / factor), block=1)
     np.testing.assert_allclose(np.diff(record.time), 0.02, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("count", "plural", "verb"), [(1, "", "was"), (2, "s", "were")])
+def test_notes_agree_with_their_counts(tmp_path, count, plural, verb):
+    report = read_written_record(write_record(tmp_path / "run.csv", simulate_columns())).report
+    counts = {"outside": count, "repeated": count, "isolated": count}
+    counted = replace(report, **counts, empty={"x": count}, outliers={"x": count})
+    assert counted.notes() == [
+        f"{count} row{plural} outside the selected part {verb} omitted.",
+        f"{count} repeated row{plural} {verb} dropped.",
+        f"{count} empty cell{plural} in column 'x' {verb} omitted.",
+        f"{count} outlier{plural} in column 'x' {verb} rejected.",
+        f"{count} row{plural} separated from the other rows by a gap {verb} omitted.",
+    ]

@@ -90,34 +90,34 @@ class RecordReport:
         if self.format_description:
             notes.append(f"Detected file format: {self.format_description}.")
         if self.outside:
-            notes.append(f"{self.outside} rows outside the selected part were omitted.")
+            notes.append(
+                _omission_note(self.outside, "row", " outside the selected part", "omitted")
+            )
         if self.repeated:
             text = f", {self.differing} of them with different values" if self.differing else ""
-            rows = (
-                "1 repeated row was"
-                if self.repeated == 1
-                else f"{self.repeated} repeated rows were"
-            )
-            notes.append(f"{rows} dropped{text}.")
+            notes.append(_omission_note(self.repeated, "repeated row", "", f"dropped{text}"))
         for column, count in self.empty.items():
             if count:
-                text, verb = (
-                    ("1 empty cell", "was") if count == 1 else (f"{count} empty cells", "were")
+                notes.append(
+                    _omission_note(count, "empty cell", f" in column '{column}'", "omitted")
                 )
-                notes.append(f"{text} in column '{column}' {verb} omitted.")
         for column, count in self.outliers.items():
             if count:
-                text, verb = ("1 outlier", "was") if count == 1 else (f"{count} outliers", "were")
-                notes.append(f"{text} in column '{column}' {verb} rejected.")
+                notes.append(_omission_note(count, "outlier", f" in column '{column}'", "rejected"))
         if self.isolated:
-            text = "1 row separated" if self.isolated == 1 else f"{self.isolated} rows separated"
-            verb = "was" if self.isolated == 1 else "were"
-            notes.append(f"{text} from the other rows by a gap {verb} omitted.")
+            location = " separated from the other rows by a gap"
+            notes.append(_omission_note(self.isolated, "row", location, "omitted"))
         if self.n_gaps:
             longest = max(gap.length for gap in self.gaps)
             text = "1 gap" if self.n_gaps == 1 else f"{self.n_gaps} gaps"
             notes.append(f"{text} in the record; the longest lasts {longest:.6g} s.")
         return notes
+
+
+def _omission_note(count: int, noun: str, location: str, participle: str) -> str:
+    """Return a sentence such as "2 outliers in column 'a' were rejected."."""
+    subject, verb = (noun, "was") if count == 1 else (f"{noun}s", "were")
+    return f"{count} {subject}{location} {verb} {participle}."
 
 
 def rejected_count(counts: Mapping[str, int]) -> int:
