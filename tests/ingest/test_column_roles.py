@@ -181,7 +181,7 @@ def test_angle_with_faulty_rows_keeps_unit_rate_and_phase(kind, wrap):
 
 def test_lost_rows_without_gap_in_time_leave_unit_of_angle():
     """The rows are numbered without a gap, so the signals suggest 6.1 rad per revolution."""
-    kept = np.delete(np.arange(TIME.size), slice(700, 737))
+    kept = np.delete(np.arange(TIME.size), slice(700, 750))
     count = kept.size
     guess = guess_file(
         seen(
@@ -192,6 +192,12 @@ def test_lost_rows_without_gap_in_time_leave_unit_of_angle():
         )
     )
     assert (guess.angle.unit, guess.angle.per_revolution) == ("rad", None)
+
+
+def test_slight_slowdown_during_gap_is_not_a_wrap():
+    time = np.delete(TIME, slice(400, 565))
+    angle = RATE * time - 0.04 * (time > 8.0)
+    assert guess_file(seen(time_s=time, angle=angle)).angle.period is None
 
 
 @pytest.mark.parametrize("kind", ["dropout", "repeats"])

@@ -8,7 +8,9 @@ from functools import cache
 import numpy as np
 import polars as pl
 import pytest
+from campaigns import write_description
 from raising import raises
+from reading_descriptions import ACCELEROMETER, format_rest_run, format_site
 from static_noise_sizes import disable_intervals
 
 import counterspin as cs
@@ -161,22 +163,8 @@ def test_sampling_rate_contradicting_the_times_raises(skip_intervals):
 
 
 def test_campaign_of_readings_has_no_columns(tmp_path):
-    (tmp_path / "campaign.toml").write_text(
-        """schema = 1
-[site]
-gravity = "9.8066 m/s^2"
-latitude = "45.75 deg"
-[accelerometers.A]
-input_axis = "up"
-pendulous_axis = "east"
-[[runs]]
-name = "up"
-motion = "static"
-attitude = "0 deg about north"
-reading = "1.0 ± 1e-6 g"
-""",
-        encoding="utf-8",
-    )
+    run = format_rest_run("up", "0 deg about north", "1.25 ± 1e-6 mA")
+    write_description(tmp_path, format_site() + ACCELEROMETER + run)
     with raises("missing-column", "contains only readings", "`columns` and `unit`"):
         cs.noise(write_record(tmp_path), campaign=tmp_path)
 
@@ -382,8 +370,8 @@ def test_stuck_samples_are_reported_and_excluded():
 @pytest.mark.usefixtures("skip_intervals")
 def test_constant_parts_of_a_coarse_record_are_not_quiet_parts():
     """Most values are equal; the scatter elsewhere is that of rounding, not of motion."""
-    values = np.zeros(8_000)
-    values[4_500::130] = 0.02
+    values = 0.02 * (np.random.default_rng(0).random(8_000) < 1 / 130)
+    values[:4_500] = 0.0
     (signal,) = cs.noise({"time_s": np.arange(8_000) * STEP, "Qx_g": values / G}).signals
     assert signal.resolution == pytest.approx(0.02)
     assert not any("sensor moved" in remark for remark in signal.remarks)

@@ -10,7 +10,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.ingest.contents import FileColumn
-from counterspin.records.sampling import ValueHolding
+from counterspin.records.sampling import Mask, ValueHolding
 from counterspin.units import unit_factor
 
 #: Names of row number columns.
@@ -121,11 +121,7 @@ def unwrap_values(values: Array, time: Array) -> tuple[Array, float | None] | No
     if median_step == 0.0 or scatter > 0.3 * abs(median_step):
         return None
     tolerance = 0.9 * abs(median_step) + 10.0 * scatter
-    is_jump = np.abs(steps - median_step) > tolerance
-    is_pair = np.abs(steps[:-1] + steps[1:] - 2.0 * median_step) <= tolerance
-    is_dropped = np.concatenate([[False], steps == 0.0])
-    is_dropped[1:-1] |= is_jump[:-1] & is_jump[1:] & is_pair  # outliers
-    rows = rows[~is_dropped]
+    rows = rows[~_is_repeat_or_outlier(steps, median_step, tolerance)]
     steps, durations = np.diff(values[rows]), np.diff(time[rows])
     expected_steps = np.full(steps.size, median_step)
     if has_even_steps(time):
@@ -137,15 +133,29 @@ def unwrap_values(values: Array, time: Array) -> tuple[Array, float | None] | No
     unwrapped = np.full(len(values), np.nan)
     turn_counts = np.zeros(steps.size)
     if is_wrap.any():
-        turns = jumps[is_wrap] / float(np.median(jumps[is_wrap]))
+        period = float(np.median(jumps[is_wrap]))
+        turns = jumps[is_wrap] / period
         if is_wrap.mean() > 0.4 or not (np.abs(turns - np.round(turns)) < 0.1).mean() > 0.9:
             return None
-        period = float(np.median(jumps[is_wrap]))
         turn_counts[is_wrap] = np.round(turns) * np.sign(median_step)
     unwrapped[rows] = values[rows] + (period or 0.0) * np.concatenate(
         [[0.0], np.cumsum(turn_counts)]
     )
     return unwrapped, period
+
+
+def _is_repeat_or_outlier(steps: Array, median_step: float, tolerance: float) -> Mask:
+    """Return which values repeat the previous value or are outliers, shape (n,).
+
+    steps: Steps between the values, shape (n - 1,).
+    tolerance: Largest deviation of a step from the median step.
+    """
+    is_jump = np.abs(steps - median_step) > tolerance
+    # The steps before and after an outlier add up to two ordinary steps.
+    is_pair = np.abs(steps[:-1] + steps[1:] - 2.0 * median_step) <= tolerance
+    is_dropped = np.concatenate([[False], steps == 0.0])
+    is_dropped[1:-1] |= is_jump[:-1] & is_jump[1:] & is_pair
+    return is_dropped
 
 
 def without_repeats(values: Array) -> Array:

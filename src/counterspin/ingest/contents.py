@@ -320,7 +320,8 @@ _MAX_SAMPLES: Final = 1 << 16
 #: Smallest number of periods, and smallest fraction of the sum of squares, of an oscillation.
 _MIN_PERIODS: Final = 2.0
 _MIN_WAVE_FRACTION: Final = 0.5
-#: Fits without outliers, smallest number of rows for them, and limit of the residuals, in medians.
+#: Rejection of outliers: number of fits, smallest number of rows, limit of a residual relative to
+#: the median residual.
 _OUTLIER_PASSES: Final = 4
 _MIN_RECORD_ROWS: Final = 200
 _OUTLIER_LIMIT: Final = 8.0
@@ -381,9 +382,10 @@ def fit_wave(
         [np.cos(valid_angle), np.sin(valid_angle), np.vander(x, degree + 1, increasing=True)]
     )
     coefficients = np.linalg.lstsq(design, y, rcond=None)[0]
-    for _ in range(_OUTLIER_PASSES if reject_outliers and y.size > _MIN_RECORD_ROWS else 0):
-        residuals = np.abs(y - design @ coefficients)
-        is_inlier = residuals <= _OUTLIER_LIMIT * np.median(residuals)
-        coefficients = np.linalg.lstsq(design[is_inlier], y[is_inlier], rcond=None)[0]
+    if reject_outliers and y.size > _MIN_RECORD_ROWS:
+        for _ in range(_OUTLIER_PASSES):
+            residuals = np.abs(y - design @ coefficients)
+            is_inlier = residuals <= _OUTLIER_LIMIT * np.median(residuals)
+            coefficients = np.linalg.lstsq(design[is_inlier], y[is_inlier], rcond=None)[0]
     a, b = coefficients[:2]
     return float(np.hypot(a, b)), float(np.arctan2(-b, a))

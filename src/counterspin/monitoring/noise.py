@@ -117,23 +117,18 @@ def noise(
     with single_blas_thread():
         if campaign is not None:
             full_campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
-            for argument_name, value in (
-                ("gravity", gravity),
-                ("unit", unit),
-                ("sampling_rate", sampling_rate),
+            for argument_name, value, location in (
+                ("gravity", gravity, "the campaign"),
+                ("unit", unit, "the campaign"),
+                ("sampling_rate", sampling_rate, "the campaign"),
+                ("select", select, "[records] of the campaign"),
             ):
                 if value is not None:
                     raise CampaignError(
                         "noise",
-                        [f"`{argument_name}`: already stated in the campaign; omit it"],
+                        [f"`{argument_name}`: already stated in {location}; omit it"],
                         code="conflicting-keys",
                     )
-            if select is not None:
-                raise CampaignError(
-                    "noise",
-                    ["`select`: already stated in [records] of the campaign; omit it"],
-                    code="conflicting-keys",
-                )
             if not any(a.channel.name for a in full_campaign.accelerometers.values()):
                 raise CampaignError(
                     "noise",
@@ -480,10 +475,8 @@ def _motion_remarks(record: StaticRecord) -> Iterator[str]:
     scatters = segments.std(axis=1)
     # If all values of a segment are equal, its scatter is that of the rounding.
     rounding = record.segments.resolution / math.sqrt(12.0)
-    rest_scatter, index = (
-        max(float(np.quantile(scatters, 0.25)), rounding),
-        int(np.argmax(scatters)),
-    )
+    rest_scatter = max(float(np.quantile(scatters, 0.25)), rounding)
+    index = int(np.argmax(scatters))
     if (
         record.signal.order == 0
         and len(segments) >= _N_MOTION_SEGMENTS // 2

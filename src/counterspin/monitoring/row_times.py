@@ -50,23 +50,22 @@ def compute_row_times(
                 "the record before this row.",
                 code="time-backwards",
             )
-        steps = np.diff(seconds[np.isfinite(seconds)]) * (sampling_rate or 0.0)
+        if sampling_rate is None:
+            return seconds
+        if file_guess.time.unit is None:
+            return row_indices / sampling_rate
+        _check_sampling_rate(column.name, seconds, sampling_rate)
+        steps = np.diff(seconds[np.isfinite(seconds)]) * sampling_rate
         step_deviations = np.abs(steps - np.round(steps))
-        _check_sampling_rate(file_guess, seconds, sampling_rate)
         is_uniform = bool((step_deviations < _MAX_STEP_DEVIATION).all() and (steps >= 0.0).all())
-        return (
-            seconds
-            if sampling_rate is None or (file_guess.time.unit and is_uniform)
-            else row_indices / sampling_rate
-        )
+        return seconds if is_uniform else row_indices / sampling_rate
     if file_guess.shared_times is not None and sampling_rate is None:
         return file_guess.shared_times.values
     if file_guess.sampling_rate is None:
         problem = (
             f"{source}: {explain_missing_time(file_guess.contents)}. Give the sampling rate as "
-            "`sampling_rate`, such as"
+            '`sampling_rate`, such as "100 Hz".'
         )
-        problem += ' "100 Hz".'
         unread_reasons = [
             f"Not read: {reason}"
             for reason in file_guess.contents.unread_reasons
@@ -76,10 +75,10 @@ def compute_row_times(
     return row_indices / file_guess.sampling_rate
 
 
-def _check_sampling_rate(guess: FileGuess, seconds: Array, sampling_rate: float | None) -> None:
+def _check_sampling_rate(time_column: str, seconds: Array, sampling_rate: float) -> None:
     """Raise CampaignError if a stated sampling rate contradicts the times of the rows, s."""
     duration = float(np.nanmax(seconds) - np.nanmin(seconds))
-    if guess.time is None or guess.time.unit is None or not duration or sampling_rate is None:
+    if not duration:
         return
     row_rate = (seconds.size - 1) / duration
     if not 1.0 / _MAX_RATE_RATIO < sampling_rate / row_rate < _MAX_RATE_RATIO:
@@ -87,7 +86,7 @@ def _check_sampling_rate(guess: FileGuess, seconds: Array, sampling_rate: float 
             "noise",
             [
                 f"`sampling_rate`: {sampling_rate:.6g} Hz contradicts column "
-                f"'{guess.time.column}', which has {row_rate:.4g} rows per second; correct the "
+                f"'{time_column}', which has {row_rate:.4g} rows per second; correct the "
                 "rate, or omit it"
             ],
             code="conflicting-values",
