@@ -25,6 +25,8 @@ from pathlib import Path
 from process import COUNTERSPIN, PYTHON, measure, measure_interleaved
 from table import Cell, Table, run_script
 
+HERE = Path(__file__).parent
+
 TRUTH_K_II = 2e-5
 
 READ_SCRIPT = """
@@ -92,19 +94,16 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     return [Table("Long records", remark, headings, rows)]
 
 
+def make_campaign(folder: str, n_rows: int, suffix: str) -> None:
+    """Write a campaign in a separate process, so that this one stays small (see `process`)."""
+    script = str(HERE / "make_campaign.py")
+    subprocess.run([*PYTHON, script, folder, str(n_rows), suffix], check=True)
+
+
 def _measure_format(suffix: str, n_rows: int, repeats: int) -> dict[str, Cell]:
-    script_folder = Path(__file__).parent
     with tempfile.TemporaryDirectory() as folder_name:
         folder = Path(folder_name)
-        # In a separate process, so that this one stays small (see `process`).
-        make_command = [
-            *PYTHON,
-            str(script_folder / "make_campaign.py"),
-            folder_name,
-            str(n_rows),
-            suffix,
-        ]
-        subprocess.run(make_command, check=True)
+        make_campaign(folder_name, n_rows, suffix)
         megabytes = sum(file.stat().st_size for file in folder.glob(f"*{suffix}")) / 1e6
         result_file = folder / "result.json"
         commands = {
@@ -125,9 +124,7 @@ def _measure_format(suffix: str, n_rows: int, repeats: int) -> dict[str, Cell]:
             commands["parser"] = [parser, *map(str, folder.glob("*.csv"))]
         measurements = measure_interleaved(commands, repeats)
         # Not interleaved: its use of memory and cache would slow down the next process.
-        peer_measurement = measure(
-            [*PYTHON, str(script_folder / "peer.py"), folder_name, suffix], 1
-        )
+        peer_measurement = measure([*PYTHON, str(HERE / "peer.py"), folder_name, suffix], 1)
         k_ii = json.loads(result_file.read_text("utf-8"))["accelerometers"]["Qx"]["coefficients"][
             "K_II"
         ]

@@ -8,16 +8,13 @@ Three of the processes of `calibrate.py`, on Parquet records.
 
 from __future__ import annotations
 
-import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from calibrate import READ_SCRIPT
+from calibrate import HERE, READ_SCRIPT, make_campaign
 from process import COUNTERSPIN, PYTHON, measure_interleaved
 from table import Table, run_script
-
-HERE = Path(__file__).parent
 
 TRIALS, SAMPLES = "Cost against trials", "Cost against samples"
 
@@ -28,14 +25,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     for power in range(4, 8 if full else 7):
         n_rows = 10**power
         with tempfile.TemporaryDirectory() as folder_name:
-            make_command = [
-                *PYTHON,
-                str(HERE / "make_campaign.py"),
-                folder_name,
-                str(n_rows),
-                ".parquet",
-            ]
-            subprocess.run(make_command, check=True)
+            make_campaign(folder_name, n_rows, ".parquet")
             measurements = measure_interleaved(
                 {
                     "counterspin calibrate": [*COUNTERSPIN, "calibrate", folder_name],
