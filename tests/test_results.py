@@ -56,6 +56,8 @@ def test_write_read_round_trip(tmp_path):
     }
     assert '"series": [ 1.0, null, 3.0 ]' in text  # one line, however long
     assert Log.read(tmp_path / "log.json").to_json() == text
+    (tmp_path / "log.json").write_text(text, encoding="utf-8-sig")
+    assert Log.read(tmp_path / "log.json").to_json() == text
 
 
 def test_json_schema_matches_written_keys():

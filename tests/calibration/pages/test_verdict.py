@@ -74,3 +74,8 @@ def test_sentence_of_cause_includes_explained_findings():
         "The result for Qx is usable with reservations: A radius of 2.5 m would fit. This "
         "explains these other findings: The residuals are large. Passed checks"
     )
+
+
+def test_contradicted_result_without_findings_has_no_warning():
+    result = make_qx_result().model_copy(update={"state": "contradicted"})
+    assert list(misfit_blocks(result)) == []
