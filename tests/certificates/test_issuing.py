@@ -284,7 +284,8 @@ def test_future_issue_and_equipment_due_during_calibration_are_reported(
     ):
         text = LAB.replace('language = "de"', f"issued = {issued}")
         write_lab(certificate_folder, f'{text}[[equipment]]\nname = "clock"\ndue = {due}\n')
-        _, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", f"{due}.xml")
+        status, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", f"{due}.xml")
+        assert status == 0
         is_future = f"certificate.issued, {issued}, is in the future." in out
         assert is_future is (issued == "2026-02-04")
         assert ("was due on" in out) is (key is not None)
@@ -307,7 +308,8 @@ def test_campaign_date_outside_calibration_is_reported(
     document = json.loads((certificate_folder / "r.json").read_text())
     document["details"] = {} if date is None else {"date": date}
     (certificate_folder / "r.json").write_text(seal_document(document))
-    _, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")
+    status, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", "c.xml")
+    assert status == 0
     words = f"The date of the campaign, {date}, is not between certificate.begin, 2026-01-12, and"
     assert (words in out) is is_outside
     assert "The date of the campaign" not in out or is_outside
@@ -319,7 +321,8 @@ def test_characters_without_glyph_are_reported(certificate_folder, capsys, monke
     )
     for name, is_missing in (("王", True), ("A. Erste", False)):
         write_lab(certificate_folder, LAB.replace("A. Erste", name))
-        _, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", f"{is_missing}.xml")
+        status, out, _ = run_certificate(capsys, "r.json", "LAB.toml", "-o", f"{is_missing}.xml")
+        assert status == 0
         assert ("have no glyphs for 王, so the pages show squares" in out) is is_missing
 
 

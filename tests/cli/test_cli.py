@@ -176,6 +176,11 @@ def test_empty_file_name_is_rejected(words, name, tmp_path, monkeypatch, capsys)
     assert not list(tmp_path.iterdir())
 
 
+def test_option_without_file_name_may_be_empty(capsys):
+    assert cli.main(["study", "nowhere", "--cluster", ""]) == 2
+    assert capsys.readouterr().err.startswith("counterspin: nowhere: file not found")
+
+
 def test_missing_campaign_exits_with_2(tmp_path, capsys):
     assert cli.main(["calibrate", str(tmp_path / "nowhere")]) == 2
     assert "file not found; `counterspin init DIR` creates" in capsys.readouterr().err
