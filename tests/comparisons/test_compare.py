@@ -370,6 +370,23 @@ def test_nominal_output_does_not_appear_as_difference():
     }
 
 
+def test_nominal_zero_is_converted():
+    # The true output at zero specific force is 4.00625 mA.
+    pair = []
+    for value, zero, gravity in ((0.005, 4.0, 9.8066), (-0.075, 4.1, 9.9)):
+        document = json.loads(make_result(2.7e-5, gravity=gravity).to_json())
+        accelerometer = document["accelerometers"]["Qx"]
+        accelerometer["nominal"] = {"unit": "mA", "sensitivity": 1.25, "zero": zero}
+        accelerometer["coefficients"] = {"K_F": by_hand.make_coefficient(value, 1e-6, "g")}
+        accelerometer |= {"correlation": None, "budget": {}, "confounded": []}
+        pair.append(cs.Result.model_validate(document))
+    comparison = cs.compare(*pair, names=["old", "new"])
+    assert comparison.coefficients[0].estimates[1].value == pytest.approx(0.005, abs=1e-12)
+    text = comparison_text(comparison)
+    assert "new was calibrated at a gravity of 9.9 m/s^2" in text
+    assert "The conversion changes" not in text
+
+
 def test_values_are_converted_to_gravity_of_first_result():
     local_result, remote_result = make_result(), make_result(gravity=9.9)
     comparison = cs.compare(local_result, remote_result)

@@ -143,6 +143,19 @@ def test_values_are_converted_to_latest_nominal_output(tmp_path):
     assert "differ (1.25 mA/g, 1.3 mA/g, 1.2 mA/g)" in " ".join(histories.notes)
 
 
+def test_values_are_converted_to_latest_nominal_zero(tmp_path):
+    documents = {}
+    # The true output at zero specific force is 4.00625 mA.
+    for date, value, zero in zip(DATES, (0.005, -0.075), (4.0, 4.1), strict=False):
+        document = make_dated_document(date=date)
+        accelerometer = document["accelerometers"]["Qx"]
+        accelerometer["coefficients"]["K_F"] |= {"value": value, "u": 1e-6}
+        accelerometer["nominal"] = {"unit": "mA", "sensitivity": 1.25, "zero": zero}
+        documents[f"r{date}"] = document
+    instrument = only_instrument(history([write_results(tmp_path, **documents)], term="K_F"))
+    assert [point.value for point in instrument.points] == pytest.approx([-0.075] * 2)
+
+
 @pytest.mark.parametrize(
     ("values", "laboratories", "shared"),
     [
@@ -527,6 +540,18 @@ def test_no_due_date_without_specification_or_after_jump(tmp_path):
     }
     histories = history([write_results(tmp_path / "b", **jump)])
     assert "are not consistent with a straight line" in only_instrument(histories).due.reason
+
+
+def test_difference_of_laboratories_has_last_digit_of_uncertainty(tmp_path):
+    documents = {
+        name: make_dated_document(value, date)
+        for name, value, date in (("A", 2.7e-5, DATES[0]), ("B", 3.93412e-5, DATES[1]))
+    }
+    for name, document in documents.items():
+        document["details"]["laboratory"] = name
+    histories = history([write_results(tmp_path, **documents)])
+    text = " ".join(getattr(block, "text", "") for block in history_blocks(histories))
+    assert "B minus A = 12.3 ug/g^2" in text
 
 
 def test_laboratories_are_compared(tmp_path):
