@@ -321,6 +321,11 @@ def test_report_and_json_contain_readings(write_plan, tmp_path, capsys, monkeypa
 
 
 MISTAKES = {
+    "axis": (
+        [("positions = 24", 'positions = 24\nabout = "sideways"')],
+        TUMBLE,
+        r'stations\[0\]\.about: unknown direction "sideways"',
+    ),
     "rates at rest": ([('positions = 24', 'rates = ["1 rad/s"]')], TUMBLE,
                       "a station at rest has no rates"),
     "no rates": ([(f"specific_forces = [{FORCES}]", "")], ARM, "either rates or specific_forces"),
